@@ -23,14 +23,15 @@ CONFIG_FILE, SUMMARY_FILE = "line.toml", "summary.json"
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """`cultivar`: of loads that name no variety. `belt`: as `told_belt` has it; None where there is no config. `words`:
-    what could not be read, and what that means."""
+    """`cultivar`: of loads that name no variety. `belt`: as `told_belt` has it. `config`: all of it. Both are None
+    where there is no config. `words`: what could not be read, and what that means."""
 
     tickets: tuple[Ticket, ...] = ()
     cultivar: str = ""
     densities: ForeignConfig | None = None
     belt: Mapping[str, Any] | None = None
     words: tuple[str, ...] = ()
+    config: LineConfig | None = None
 
 
 def stated_beside(ledger: Path) -> Stated:
@@ -44,7 +45,7 @@ def stated_beside(ledger: Path) -> Stated:
     try:
         config = load_config(file)
     except TuberlineError as error:
-        return Stated(words=(f"{error}: tickets and cultivar that it names are left out",))
+        return Stated(words=(f"{error}: tickets and cultivar that it names are left out, contract and densities too",))
     settings = config.aggregator
     tickets: tuple[Ticket, ...] = ()
     words: tuple[str, ...] = ()
@@ -52,7 +53,7 @@ def stated_beside(ledger: Path) -> Stated:
         tickets = read_tickets(settings.tickets) if settings.tickets else ()
     except TuberlineError as error:
         words = (f"{error}: {file} names them, they are left out",)
-    return Stated(tickets, settings.cultivar, config.foreign, told_belt(config), words)
+    return Stated(tickets, settings.cultivar, config.foreign, told_belt(config), words, config)
 
 
 def told_belt(config: LineConfig) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from aggregator.core.totals import LoadTotals
 from aggregator.ledger.line_tickets import line_tickets
 from aggregator.ledger.load_totals import ReadLoads, Seen, Sums, count_load, here, without_load
 from aggregator.ledger.reader import RunRow, ledger_file, reading
+from aggregator.ledger.stated import Stated
 from aggregator.ledger.ticket_doubts import ledger_doubts, of_other_weights
 from conveyor.config import REPLAY_NAME
 from conveyor.cultivar import cultivar_key
@@ -74,12 +75,13 @@ class AllLoads:
     Attributes:
         by_ledger: those of each, by its file. refused: tickets that cannot calibrate, in words. doubts: what else is
             to be said of tickets: that others contradict them, that they hold for one ledger alone, or for other
-            weights, or that those which a line's config names cannot be read.
+            weights, or that those which a line's config names cannot be read. stated: by the config beside each.
     """
 
     by_ledger: Mapping[Path, list[Labelled]]
     refused: list[str]
     doubts: list[str]
+    stated: Mapping[Path, Stated]
 
     @property
     def loads(self) -> list[Labelled]:
@@ -145,7 +147,7 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = (), day: str
                 models = [model for load in own for method, model in load.one.totals.sums.weighed if method != "volume"]
                 told = (*of_other_weights(known.tickets, models), *ledger_doubts(book, known.tickets, asked))
                 doubts |= dict.fromkeys((*known.unread, *known.unshared, *told))
-        return AllLoads(loads, refused, list(doubts))
+        return AllLoads(loads, refused, list(doubts), {file: ledger.stated for file, ledger in ledgers.items()})
 
 
 def _is_of(ticket: Ticket, loads: Sequence[Labelled]) -> bool:

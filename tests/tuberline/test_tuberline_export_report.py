@@ -148,6 +148,9 @@ def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) ->
         '[cameras.left]\npath = "x"\n[alarms]\nchannels = ["https://a.example"]\nstate_dir = "../alarms of the line"\n'
     )
     assert what_went_wrong(day_facts([folder]))[-1].endswith("The disk is full."), "alarms.state_dir was not looked at"
+    (folder / "line.toml").write_text("[aggregator]\nticket = 1\n")
+    (told,) = day_facts([folder]).doubts
+    assert "that it names are left out, contract and densities too" in told, "it ended a report"
 
 
 def test_a_run_without_loads_is_of_the_day_by_the_clock_of_its_line(

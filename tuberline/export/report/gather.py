@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,10 +13,10 @@ from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_sums import CameraDoubt, LoadSums
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.ends import End, end_of
-from aggregator.ledger.reader import all_runs, ledger_file, read_sums, reading, run_being_written
-from aggregator.ledger.stated import CONFIG_FILE, summary_told
+from aggregator.ledger.reader import all_runs, read_sums, reading, run_being_written
+from aggregator.ledger.stated import summary_told
 from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, grouped, total_of
-from conveyor.config import load_config
+from conveyor.config import LineConfig
 from conveyor.config_yield import ForeignConfig
 from conveyor.contract import Contract, SizeClass, read_contract
 from conveyor.errors import InputError
@@ -68,7 +68,7 @@ class LoadFacts:
 @dataclass(frozen=True, slots=True)
 class RunFacts:
     """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights. `loads`:
-    numbers of the loads that are told.
+    numbers of the loads that are told. `alarms`: where the line's config keeps them, None where it does not say.
     """
 
     path: Path
@@ -79,6 +79,7 @@ class RunFacts:
     end: End
     models: dict[str, int]
     loads: frozenset[int]
+    alarms: Path | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +118,8 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
     loads = [load for load in found if day in (None, load.labels["day"])]
     if not loads:
         raise InputError(f"these runs hold no load of {day}: they hold {', '.join(days) or 'none at all'}")
-    chosen, densities = _settings(runs, contract)
+    configs = {path: stated.config for path, stated in read.stated.items() if stated.config is not None}
+    chosen, densities = _settings(list(configs.values()), contract)
     whole = LoadSums(loads[0].one.totals.sums.histogram_step_g)
     for load in loads:
         whole.take(load.one.totals.sums)
@@ -136,14 +138,12 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
         late=whole.late,
         refused=tuple(read.refused),
         doubts=tuple(read.doubts),
-        runs=tuple(run for path, of_ledger in read.by_ledger.items() for run in _runs(path, of_ledger, day)),
+        runs=tuple(run for path, of_ledger in read.by_ledger.items() for run in _runs(path, of_ledger, day, configs)),
     )
 
 
-def _settings(runs: Sequence[Path], contract: Path | None) -> tuple[Contract, ForeignConfig]:
-    """The contract given, else that of the line's config beside the first ledger that has one; densities likewise."""
-    files = [ledger_file(run).parent / CONFIG_FILE for run in runs]
-    configs = [load_config(file) for file in files if file.is_file()]
+def _settings(configs: Sequence[LineConfig], contract: Path | None) -> tuple[Contract, ForeignConfig]:
+    """The contract given, else that of the first line's config that has one; densities likewise."""
     named = contract or next((c.aggregator.contract for c in configs if c.aggregator.contract), None)
     return read_contract(named) if named else PLAIN, configs[0].foreign if configs else ForeignConfig()
 
@@ -173,8 +173,10 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
     )
 
 
-def _runs(file: Path, loads: Sequence[Labelled], day: str | None) -> list[RunFacts]:
+def _runs(file: Path, loads: Sequence[Labelled], day: str | None, configs: Mapping[Path, LineConfig]) -> list[RunFacts]:
     """Those of a ledger, or those in which something of `day` was, be it only belt."""
+    alarms = configs[file].alarms if file in configs else None
+    kept = alarms.state_dir if alarms is not None else None
     told = [load for load in loads if day in (None, load.labels["day"])]
     of_day = {run for load in told for run in load.runs}
     numbers = frozenset(load.load.number for load in told if load.load is not None)
@@ -184,7 +186,8 @@ def _runs(file: Path, loads: Sequence[Labelled], day: str | None) -> list[RunFac
             sums = read_sums(view, run.run)
             summary = summary_told(view, run.run, sums)
             end = end_of(run, written, sums=sums, summary=summary)
-            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, sums.load.models(), numbers))
+            models = sums.load.models()
+            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, models, numbers, kept))
         return found
 
 

@@ -9,9 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from aggregator.ledger.stated import CONFIG_FILE
 from conveyor.apart import apart_in_words
-from conveyor.config import load_config
 from conveyor.exchanged import exchanged_in_words
 from conveyor.heights import heights_in_words
 from conveyor.messages import CameraExchanged, CamerasApart, HeightChange
@@ -36,8 +34,8 @@ def what_went_wrong(facts: DayFacts) -> list[str]:
     found = [*_unseen(facts), *_tickets(facts), *_weighing(facts)]
     for run in facts.runs:
         found += _of_run(run)
-    for ledger in dict.fromkeys(run.path for run in facts.runs):
-        found += _alarms(ledger)
+    for ledger, stated in {run.path: run.alarms for run in facts.runs}.items():
+        found += _alarms(ledger, stated)
     return found
 
 
@@ -139,9 +137,11 @@ def _words(name: str, prefix: str) -> str:
     return name.removeprefix(prefix).replace("_", " ")
 
 
-def _alarms(ledger: Path) -> Iterator[str]:
-    """Alarms that had begun and not ended when the report was made; the file may be another program's, or none."""
-    file = _alarms_file(ledger)
+def _alarms(ledger: Path, stated: Path | None) -> Iterator[str]:
+    """Alarms that had begun and not ended when the report was made; the file may be another program's, or none. Where
+    the config does not say where they are, they lie beside the ledger, which may have been moved since.
+    """
+    file = (stated or ledger.parent / outbox.FOLDER) / outbox.FILE
     if not file.is_file():
         return
     try:
@@ -152,14 +152,6 @@ def _alarms(ledger: Path) -> Iterator[str]:
     for alarm in begun:
         since = datetime.fromtimestamp(alarm.since_unix_s, UTC).strftime("%Y-%m-%d %H:%M")
         yield f"Alarm since {since} UTC: {alarm.text}"
-
-
-def _alarms_file(ledger: Path) -> Path:
-    """Where the config beside the ledger keeps them, else beside the ledger, which may have been moved since."""
-    config = ledger.parent / CONFIG_FILE
-    alarms = load_config(config).alarms if config.is_file() else None
-    stated = alarms.state_dir if alarms is not None else None
-    return (stated or ledger.parent / outbox.FOLDER) / outbox.FILE
 
 
 def _begun(file: Path) -> list[str]:
