@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from conveyor.geometry import height_coefficients
 from conveyor.kernels import kernel
 from conveyor.messages import View
+from regressor.weigh.clean import PART
 
 OPENING_PX = 5
 """What is narrower than such a disc is a scrap. With 3 px, loads seen by cameras that grow outlines stay 1 to 2 %
@@ -85,7 +86,9 @@ def cut_back(
 
 
 def _body(measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(h, w) the largest part of what is measured that the opening leaves; holes in its skin cut nothing off."""
+    """(h, w) the largest part of what is measured that the opening leaves; holes in its skin cut nothing off. Nothing
+    where another is a `PART` of it: those are a tuber with something across it, and no scraps.
+    """
     seen = np.pad(measured.astype(np.uint8), OPENING_PX)
     outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED)
@@ -97,9 +100,10 @@ def _body(measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
         whole = seen | deep.astype(np.uint8) | spots
     opened = cv2.morphologyEx(whole, cv2.MORPH_OPEN, _DISC)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
-    if count < 2:
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    if count < 2 or np.count_nonzero(areas >= PART * areas.max()) > 1:
         return np.zeros_like(measured)
-    largest = (labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())).astype(np.uint8)
+    largest = (labels == 1 + int(areas.argmax())).astype(np.uint8)
     body = np.asarray(cv2.dilate(largest, _CROSS, iterations=BACK_PX), np.uint8) > 0
     inner = slice(OPENING_PX, -OPENING_PX)
     return body[inner, inner] & measured

@@ -3,7 +3,7 @@
 The order follows the reference: clean, height above the belt from the raw cloud, centre on the mean of all points,
 sample. Two things are ours. A tilted camera's cloud is first turned so that its z axis is the
 belt's normal (the identity for a camera that looks straight down). And strays are removed by a test on the depth
-image instead of DBSCAN: see `clean_depth`.
+image instead of DBSCAN, where rows that its camera left out are filled before: see `clean`.
 """
 
 from __future__ import annotations
@@ -18,21 +18,25 @@ from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.kernels import kernel
 from conveyor.messages import View
-from regressor.weigh.finer import WIDEST_PIXEL_M, finer, pixel_width_m, times_finer
+from regressor.weigh.clean import clean_depth, filled_rows, in_parts, step_units
+from regressor.weigh.finer import finer, pixel_width_m, times_finer
 from regressor.weigh.grown import cut_back, view_heights_m
-from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
+from regressor.weigh.outline import angle_image, fill_holes
 from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
 
 MAX_HEIGHT_M = 0.08
 MIN_POINTS = 30
 NETWORK_POINTS = 1024
-STEP_M = 0.006
 MAX_EXTENT_M = 0.2
 MAX_POINTS = 60_000
 VOXEL_M = 0.0005
 GROWN = "outline_grown"
 """Flag of a view whose outline was cut back."""
+MISSING = "rows_missing"
+"""Flag of a view whose camera left out rows or columns; they were filled."""
+PARTS = "in_parts"
+"""Flag of a view whose outline falls into parts: each counts, and what lies between them does not."""
 NEAREST_M, FARTHEST_M = 0.001, 1000.0
 """No camera over a belt sees so near, none so far: the one is left out of a cloud, the other is no number of a place.
 """
@@ -92,14 +96,16 @@ def prepare_view(view: View) -> PreparedCloud:
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    depth = np.ascontiguousarray(view.depth)
     pixel_m = pixel_width_m(view.belt_from_camera, view.intrinsics.fx)
+    depth, missing = filled_rows(np.ascontiguousarray(view.depth), step_units(view.depth_scale_m, pixel_m))
     kept = clean_depth(depth, view.depth_scale_m, pixel_m)
     cut = cut_back(depth, kept, view_heights_m(kept, view))
     if cut is not None:
         depth, kept = cut, clean_depth(cut, view.depth_scale_m, pixel_m)
-    cloud = prepare_depth(
+    cloud = _prepare_kept(
+        kept,
         depth,
+        missing,
         depth_scale_m=view.depth_scale_m,
         fx=view.intrinsics.fx,
         fy=view.intrinsics.fy,
@@ -107,7 +113,6 @@ def prepare_view(view: View) -> PreparedCloud:
         cy=view.intrinsics.cy - view.v0,
         belt_from_camera=view.belt_from_camera,
         resting_offset_m=view.resting_offset_m,
-        kept=kept,
     )
     return cloud if cut is None else replace(cloud, flags=(*cloud.flags, GROWN))
 
@@ -122,7 +127,6 @@ def prepare_depth(
     cy: float,
     belt_from_camera: NDArray[np.float64],
     resting_offset_m: float = 0.0,
-    kept: NDArray[np.uint16] | None = None,
 ) -> PreparedCloud:
     """The cloud of all non-zero pixels of `depth`.
 
@@ -131,30 +135,62 @@ def prepare_depth(
         fx, fy, cx, cy: intrinsics in pixels; cx, cy count from this crop's first pixel.
         belt_from_camera: (4, 4).
         resting_offset_m: how far the tuber's underside lies below that belt.
-        kept: `clean_depth` of it, where that is known already.
 
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    depth = np.ascontiguousarray(depth)
     pixel_m = pixel_width_m(belt_from_camera, fx)
-    kept = clean_depth(depth, depth_scale_m, pixel_m) if kept is None else kept
-    seen = int(np.count_nonzero(kept))
+    depth, missing = filled_rows(np.ascontiguousarray(depth), step_units(depth_scale_m, pixel_m))
+    return _prepare_kept(
+        clean_depth(depth, depth_scale_m, pixel_m),
+        depth,
+        missing,
+        depth_scale_m=depth_scale_m,
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+        belt_from_camera=belt_from_camera,
+        resting_offset_m=resting_offset_m,
+    )
+
+
+def _prepare_kept(
+    kept: NDArray[np.uint16],
+    depth: NDArray[np.uint16],
+    missing: NDArray[np.bool_] | None,
+    *,
+    depth_scale_m: float,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    belt_from_camera: NDArray[np.float64],
+    resting_offset_m: float,
+) -> PreparedCloud:
+    """As `prepare_depth`. `kept`: the pixels of `depth` that are clean; `missing`: those of rows that were filled."""
+    measured = kept if missing is None else np.where(missing, 0, kept)
+    seen = int(np.count_nonzero(measured))
     if seen < MIN_POINTS:
         raise RefusedCloud("empty_cloud" if not depth.any() else "too_few_points")
-    noise_px = crop_noise_px(depth, depth_scale_m=depth_scale_m, fx=fx)
-    filled, times = kept * np.float64(depth_scale_m), times_finer(pixel_m, kept.size)
+    noise_px = crop_noise_px(
+        depth if missing is None else np.where(missing, 0, depth), depth_scale_m=depth_scale_m, fx=fx
+    )
+    filled, times = kept * np.float64(depth_scale_m), times_finer(pixel_width_m(belt_from_camera, fx), kept.size)
     if times > 1:
         filled = finer(filled, times)
         fx, fy, cx, cy = times * fx, times * fy, *(times * c + (times - 1) / 2 for c in (cx, cy))
     there = filled > 0
     holes = fill_holes(filled)
-    inside, measured, in_camera = _points(filled, there, fx, fy, cx, cy)
+    inside, points, in_camera = _points(filled, there, fx, fy, cx, cy)
     level, distance_m = _level(in_camera, belt_from_camera)
     _stands_above(level, distance_m, resting_offset_m)
     area = _areas(in_camera, level, fx * fy)
     surface = surface_features(level, area, inside, distance_m=distance_m + resting_offset_m, holes=holes)
-    return replace(_finish(level, measured, distance_m, resting_offset_m, surface, seen=seen), noise_px=noise_px)
+    cloud = _finish(level, points, distance_m, resting_offset_m, surface, seen=seen)
+    seen_so = {MISSING: missing is not None, PARTS: in_parts(inside)}
+    flags = (*cloud.flags, *(flag for flag, so in seen_so.items() if so))
+    return replace(cloud, noise_px=noise_px, flags=flags)
 
 
 def prepare_cloud(
@@ -348,45 +384,6 @@ def _centred(
             low, high = min(low, points[k, axis]), max(high, points[k, axis])
         box[axis] = high - low
     return points, centre, box, nearest_m
-
-
-def clean_depth(depth: NDArray[np.uint16], depth_scale_m: float, pixel_m: float = WIDEST_PIXEL_M) -> NDArray[np.uint16]:
-    """`depth` without flying pixels and islands of false matches.
-
-    A pixel stays if at least two of its four neighbours lie within 6 mm of it in depth and at most one neighbour
-    inside the mask is farther. From a pixel to the next a flank falls by more where pixels are wide (`pixel_m`, on
-    the belt) or depth is told in coarse steps: within so much is near there. The reference clusters with DBSCAN
-    (0.5-1.2 s per tuber on a CPU) and drops noise only; the test here takes 0.05 ms and also drops the ramp of
-    mixed pixels at an occluding edge.
-    """
-    step = max(2, round(STEP_M * max(1.0, pixel_m / WIDEST_PIXEL_M) / depth_scale_m))
-    out: NDArray[np.uint16] = _clean(depth, step)
-    drop_islands(out, step, round(BESIDE_M / depth_scale_m))
-    return out
-
-
-@kernel(nogil=True)
-def _clean(depth: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
-    rows, columns = depth.shape
-    out = np.zeros_like(depth)
-    for v in range(rows):
-        for u in range(columns):
-            here = np.int64(depth[v, u])
-            if here == 0:
-                continue
-            near = 0
-            far = 0
-            for dv, du in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                b, a = v + dv, u + du
-                if b < 0 or a < 0 or b >= rows or a >= columns or depth[b, a] == 0:
-                    continue
-                if abs(np.int64(depth[b, a]) - here) < step:
-                    near += 1
-                else:
-                    far += 1
-            if near >= 2 and far <= 1:
-                out[v, u] = depth[v, u]
-    return out
 
 
 def _without_strays(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 
 from conveyor.geometry import straight_down_belt_from_camera
+from regressor.weigh.clean import clean_depth
 from regressor.weigh.pixel_grid import pixel_grid
-from regressor.weigh.prepare import MAX_POINTS, RefusedCloud, clean_depth, prepare_cloud, prepare_view
+from regressor.weigh.prepare import (
+    MAX_POINTS,
+    MISSING,
+    PARTS,
+    RefusedCloud,
+    prepare_cloud,
+    prepare_view,
+)
 from regressor.weigh.widths import DIRECTIONS, TRIMMED
 from tests.regressor.all_widths import all_widths
 from tests.regressor.ellipsoids import ellipsoid_view
@@ -225,6 +233,33 @@ def test_holes_inside_a_mask_cost_no_volume() -> None:
     # What touches the outline is no hole but a bite out of it: it stays lost, and the hull tells.
     assert holed.volume_ml == pytest.approx(whole.volume_ml, rel=0.05)
     assert holed.hull_cm2 == pytest.approx(whole.hull_cm2, rel=0.02)
+
+
+@pytest.mark.parametrize("every", [2, 3, 4, 5, 1000])
+@pytest.mark.parametrize("turned", [False, True])
+def test_rows_that_a_camera_left_out_change_no_surface(every: int, turned: bool) -> None:
+    """Every k-th row without depth: 8 to 27 % heavy, for each stood at an outline. One: 30 % light, cut in two."""
+    view = ellipsoid_view((0.042, 0.033, 0.028))
+    depth = view.depth.copy()
+    (depth.T if turned else depth)[depth.shape[turned] // 2 % every :: every] = 0
+    whole, holed = prepare_view(view), prepare_view(replace(view, depth=depth))
+    assert (whole.flags, holed.flags) == ((), (MISSING,))
+    assert len(holed.points) == pytest.approx(len(whole.points), rel=0.02)
+    for name in ("volume_ml", "area_cm2", "height_mm", "hull_cm2"):
+        assert getattr(holed.surface, name) == pytest.approx(getattr(whole.surface, name), rel=0.02)
+    assert holed.surface.rim == pytest.approx(whole.surface.rim, abs=0.02)
+    np.testing.assert_allclose(holed.surface.profile, whole.surface.profile, rtol=0.05, atol=0.02)
+
+
+def test_parts_are_weighed_together_and_flagged() -> None:
+    """A wide gap through the middle had a line weigh the larger half alone, and call the other one grown."""
+    view = ellipsoid_view((0.042, 0.033, 0.028))
+    depth = view.depth.copy()
+    depth[depth.shape[0] // 2 :][:12] = 0
+    whole, parted = prepare_view(view), prepare_view(replace(view, depth=depth))
+    assert parted.flags == (PARTS,)
+    left = np.count_nonzero(depth) / np.count_nonzero(view.depth)
+    assert parted.surface.area_cm2 == pytest.approx(left * whole.surface.area_cm2, rel=0.02)
 
 
 def test_false_matches_are_cut_off() -> None:

@@ -44,7 +44,7 @@ class Weight:
         method: 'pointraft' (the network with the volume rule), or 'volume'.
         model: name and digest of the weights, e.g. 'tuberline-sim@afd68040'.
         flags: what is unusual: 'few_points', 'extent', 'height_clamped', 'belt_distance', 'size', 'weight',
-            'volume_disagrees', 'network_failed'.
+            'volume_disagrees', 'camera_unlike', 'rows_missing', 'in_parts', 'network_failed'.
     """
 
     weight_g: float
