@@ -98,28 +98,27 @@ def check_readable(recording: Path) -> list[str]:
     """
     names = line_names(recording)
     sources = [open_source(recording, camera=name) for name in names]
-    found = [_first(source) for source in sources]
+    found = [_beginning(source) for source in sources]
     by_clock = {
-        name: item for name, item in zip(names, found, strict=True) if isinstance(item, Frame) and item.travel_m is None
+        name: frames for name, (frames, _) in zip(names, found, strict=True) if frames and frames[0].travel_m is None
     }
     for name, source in zip(names, sources, strict=True):
         if name in by_clock:
-            _check_clock(source)
-    _check_one_clock(recording, {name: item.captured_ns for name, item in by_clock.items()})
-    if not any(isinstance(item, Frame) for item in found):
-        fault = next((item.text for item in found if isinstance(item, Refused)), "")
+            _check_clock(source, by_clock[name])
+    _check_one_clock(recording, {name: frames[0].captured_ns for name, frames in by_clock.items()})
+    if not any(frames for frames, _ in found):
+        fault = next((refused.text for _, refused in found if refused), "")
         raise InputError(f"{recording}: no frame can be read" + (f"; the first: {fault}" if fault else ""))
     return names
 
 
-def _check_clock(source: PreparedSource) -> None:
-    """Where the load has to tell travel, it does so by the clock.
+def _check_clock(source: PreparedSource, first: Iterable[Frame]) -> None:
+    """Where the load has to tell travel, it does so by the clock. `first`: the source's first frames.
 
     Raises:
         InputError: frames follow one another sooner than any camera takes them.
     """
-    frames = (item for item in source.frames(run="check") if isinstance(item, Frame))
-    if not 0 < _step_ns(itertools.islice(frames, 2)) < SHORTEST_STEP_NS:
+    if not 0 < _step_ns(first) < SHORTEST_STEP_NS:
         return
     step_ns = _step_ns(source.keys())
     if 0 < step_ns < SHORTEST_STEP_NS:
@@ -154,14 +153,18 @@ def _step_ns(frames: Iterable[Frame | FrameKey]) -> float:
     return float(np.median(steps)) if len(steps) else 0.0
 
 
-def _first(source: PreparedSource) -> Frame | Refused | None:
-    """The first readable frame, else the first one that was refused."""
+def _beginning(source: PreparedSource) -> tuple[list[Frame], Refused | None]:
+    """The first readable frame, the second, too, where that one has no travel; and the first that was refused."""
+    frames: list[Frame] = []
     refused = None
     for item in source.frames(run="check"):
-        if isinstance(item, Frame):
-            return item
-        refused = refused or item
-    return refused
+        if isinstance(item, Refused):
+            refused = refused or item
+            continue
+        frames.append(item)
+        if item.travel_m is not None or len(frames) == 2:
+            break
+    return frames, refused
 
 
 OnFrame = Callable[[int, int | None], None]

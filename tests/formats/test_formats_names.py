@@ -18,6 +18,7 @@ from conveyor.errors import InputError
 from conveyor.formats import camera_names, describe_recording
 from conveyor.formats.cameras import check_readable, open_cameras
 from conveyor.formats.conversion import convert_recording
+from conveyor.formats.folder.reader import FolderSource
 from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.source import CameraDescription
@@ -237,6 +238,22 @@ def test_capture_times_in_another_unit_need_travel(recorded: Path) -> None:
             assert check_readable(recorded) == ["front"]
     with pytest.raises(InputError, match=r"front: frames are captured 33000 ns apart, and their travel is not given"):
         check_readable(recorded)
+
+
+def test_no_frame_is_decoded_twice_to_see_whether_a_recording_can_be_read(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without travel the first one was, to see the clock."""
+    read: list[int] = []
+    decode = FolderSource._frame
+
+    def counted(source: FolderSource, row: Any, run: str) -> Any:
+        read.append(row.seq)
+        return decode(source, row, run)
+
+    monkeypatch.setattr(FolderSource, "_frame", counted)
+    assert check_readable(recorded) == ["front"]
+    assert read == [0, 1]
 
 
 def test_cameras_without_travel_need_a_clock_in_common(recorded: Path) -> None:
