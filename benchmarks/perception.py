@@ -3,8 +3,8 @@
     python -m benchmarks perception --out runs/perception [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
 
 Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>.json: what is there is
-not done again, so the command may be stopped and called again. Tables: OUT/perception.md, of all results in OUT. The
-recordings' masks serve as truth only.
+not done again, so the command may be stopped and called again. Tables: OUT/perception.md, of all results in OUT with
+this preset and number of tubers. The recordings' masks serve as truth only.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for case in timed
         if options.times
     ]
-    rows = _all_kept(out)
+    rows = _all_kept(out, preset=options.preset, tubers=options.tubers)
     text = tables(rows, times)
     (out / "perception.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)
@@ -73,10 +73,11 @@ def _kept(path: Path, fresh: bool, make: Any) -> dict[str, Any]:
     return result
 
 
-def _all_kept(out: Path) -> list[dict[str, Any]]:
-    """All results of scenes in `out`, in the suite's order."""
+def _all_kept(out: Path, *, preset: str, tubers: int) -> list[dict[str, Any]]:
+    """All results of scenes in `out` with so many tubers of a preset, in the suite's order."""
     paths = [path for path in out.glob("*-seed*.json") if not path.name.startswith("time-")]
     rows = [dict(json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+    rows = [row for row in rows if (row["preset"], row["tubers"]) == (preset, tubers)]
     return sorted(rows, key=lambda row: (SUITE.index(row["scene"]), row["seed"], row["name"]))
 
 
