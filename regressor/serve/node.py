@@ -116,8 +116,8 @@ class _Worker:
         return views
 
     def _answer(self, views: list[View]) -> None:
-        # With a checksum: another run of the same recording may cut the same tuber out differently.
-        keys = [(view.view_id, zlib.crc32(view.depth.data)) for view in views]
+        # With a checksum: another run of the same recording may cut the same tuber out, or state its belt, differently.
+        keys = [(view.view_id, zlib.crc32(view.encode())) for view in views]
         fresh = {key: view for key, view in zip(keys, views, strict=True) if key not in self._answered}
         self._node.counters.add("views_duplicate", len(views) - len(fresh))
         weights = weigh_views(self._weigher, list(fresh.values()), regressor=self._node.name) if fresh else []

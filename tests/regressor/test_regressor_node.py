@@ -67,19 +67,22 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
     view = ellipsoid_view(name="t1/0")
     empty = replace(ellipsoid_view(name="t2/0"), depth=np.zeros((9, 9), np.uint16))
     low = replace(ellipsoid_view(name="t3/0"), belt_from_camera=straight_down_belt_from_camera(0.28))
-    for sent in (view, empty, low, view):
+    # Its belt stated otherwise is another view: it got the answer to the first.
+    deeper = replace(view, resting_offset_m=0.004)
+    all_sent = (view, empty, low, view, deeper)
+    for sent in all_sent:
         work.put(sent)
-    got = [answers.get(20.0) for _ in range(4)]
+    got = [answers.get(20.0) for _ in all_sent]
     weigher = Weigher.load()
     weigher = weigher.in_form(form_of(node.config, weigher))
-    expected = [weigh_view(weigher, sent, regressor="r1") for sent in (view, empty, low, view)]
+    expected = [weigh_view(weigher, sent, regressor="r1") for sent in all_sent]
     assert got == expected
 
     def counted() -> bool:
         values = next((message.values for message in counters.latest().values()), {})
         refused = ("views_refused_empty_cloud", "views_refused_below_belt")
         names = ("view_received", "views_weighed", *refused, "views_duplicate")
-        return [values.get(name) for name in names] == [4, 1, 1, 1, 1]
+        return [values.get(name) for name in names] == [5, 2, 1, 1, 1]
 
     wait_until(counted, what="the worker's counters")
     # Each name that a sender ever called its camera had a publisher with its cache, for good.
