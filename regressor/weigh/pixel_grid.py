@@ -41,6 +41,19 @@ class PixelGrid:
     cy: float
 
 
+def gridded(points: NDArray[np.float64], *, most: int) -> tuple[NDArray[np.float64], PixelGrid | None]:
+    """A cloud, and the image that it was made of where it has `most` points or fewer and was made of one.
+
+    Points that stand in it several times count once: the density of a cloud says how large its pixels are. Among ten
+    times `most` they are looked for; larger clouds are thinned out.
+    """
+    image = pixel_grid(points) if len(points) <= most else None
+    if image is not None or len(points) > 10 * most:
+        return points, image
+    once = np.sort(np.unique(points, axis=0, return_index=True)[1])
+    return (points, None) if len(once) == len(points) else gridded(points[once], most=most)
+
+
 def pixel_grid(points_in_camera: NDArray[np.float64]) -> PixelGrid | None:
     """The image that a cloud was made of; None where it is not a pinhole camera's, whole, each pixel at most once.
 

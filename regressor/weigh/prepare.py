@@ -22,7 +22,7 @@ from regressor.weigh.clean import clean_depth, filled_rows, in_parts, step_units
 from regressor.weigh.finer import finer, pixel_width_m, times_finer
 from regressor.weigh.grown import cut_back, view_heights_m
 from regressor.weigh.outline import angle_image, fill_holes
-from regressor.weigh.pixel_grid import pixel_grid
+from regressor.weigh.pixel_grid import gridded
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
 
 MAX_HEIGHT_M = 0.08
@@ -218,7 +218,7 @@ def prepare_cloud(
         raise RefusedCloud("empty_cloud")
     if not (np.abs(points) < FARTHEST_M).all():
         raise RefusedCloud("not_finite")
-    image = pixel_grid(points) if len(points) <= MAX_POINTS else None
+    points, image = gridded(points, most=MAX_POINTS)
     if image is not None:
         return prepare_depth(
             image.depth,

@@ -132,10 +132,10 @@ def test_no_odd_cloud_does_more_than_be_refused() -> None:
     far_off = [np.array(place) + rng.normal(0, 0.001, (20, 3)) for place in ([900.0, 0.0, 0.3], [0.0, 900.0, 0.3])]
     heavy = np.repeat(tuber, 12, axis=0)
     heavy[0, 0] = 1e300
-    weighed = (np.tile([0.0, 0.0, 0.3], (400, 1)), along * [1, 1, 0.3] + [0, 0, 0.3], np.vstack([tuber, *far_off]))
+    weighed = (along * [1, 1, 0.3] + [0, 0, 0.3], np.vstack([tuber, *far_off]))
     refused = {
         "not_finite": (tuber * 1e300, heavy, tuber * 1e5),
-        "too_few_points": (tuber * [1, 1, 1e-300], tuber * 1e-6, -tuber),
+        "too_few_points": (tuber * [1, 1, 1e-300], tuber * 1e-6, -tuber, np.tile([0.0, 0.0, 0.3], (400, 1))),
         "below_belt": (tuber * 1000,),
         "not_a_cloud": (None, [[1, 2, 3], [4, 5]], np.full((50, 3), "here"), tuber.astype(complex)),
     }
