@@ -27,17 +27,20 @@ def pixel_width_m(belt_from_camera: NDArray[np.float64], fx: float) -> float:
     return float(belt_from_camera[2, 3]) / fx
 
 
-def times_finer(pixel_m: float, pixels: int) -> int:
-    """By how much a pixel of that width on the belt is divided, so that none is wider than those of the training.
+def times_finer(pixel_m: float, pixels: int, *, longer: float = 1.0) -> tuple[int, int]:
+    """By how much a pixel of that width on the belt is divided, down and across, so that none is wider than those of
+    the training, and none more than half as long again as wide.
 
-    `pixels`: of the view. One that is far too large for a tuber stays as it is.
+    `pixels`: of the view. One that is far too large for a tuber stays as it is. `longer`: a pixel's length down the
+    image over its width.
     """
     times = int(np.clip(np.ceil(pixel_m / WIDEST_PIXEL_M), 1, MOST_TIMES))
-    return times if pixels * times**2 <= MOST_PIXELS else 1
+    down, across = (min(times * max(1, round(share)), MOST_TIMES) for share in (longer, 1 / longer))
+    return (down, across) if pixels * down * across <= MOST_PIXELS else (1, 1)
 
 
-def finer(depth_m: NDArray[np.float64], times: int) -> NDArray[np.float64]:
-    """(h times, w times) metres of (h, w) metres, 0 where nothing is seen; a principal point c goes to
+def finer(depth_m: NDArray[np.float64], times: tuple[int, int]) -> NDArray[np.float64]:
+    """(h down, w across) metres of (h, w) metres, 0 where nothing is seen; a principal point c goes to
     times c + (times - 1) / 2.
 
     Depth is linear between pixels, and falls beyond the outermost ones as a rounded rim does: their outer half would
@@ -48,10 +51,11 @@ def finer(depth_m: NDArray[np.float64], times: int) -> NDArray[np.float64]:
     return np.where(share > 0.5, _enlarged(_with_ring(ringed), times), 0.0)
 
 
-def _enlarged(ringed: NDArray[np.float64], times: int) -> NDArray[np.float64]:
-    """(h times, w times), linear between the centres of (h + 2, w + 2) pixels."""
-    fine = np.asarray(cv2.resize(ringed, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR), np.float64)
-    return fine[times:-times, times:-times]
+def _enlarged(ringed: NDArray[np.float64], times: tuple[int, int]) -> NDArray[np.float64]:
+    """(h down, w across), linear between the centres of (h + 2, w + 2) pixels."""
+    down, across = times
+    fine = np.asarray(cv2.resize(ringed, None, fx=across, fy=down, interpolation=cv2.INTER_LINEAR), np.float64)
+    return fine[down:-down, across:-across]
 
 
 def _with_ring(depth_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -176,10 +176,11 @@ def _prepare_kept(
     noise_px = crop_noise_px(
         depth if missing is None else np.where(missing, 0, depth), depth_scale_m=depth_scale_m, fx=fx
     )
-    filled, times = kept * np.float64(depth_scale_m), times_finer(pixel_width_m(belt_from_camera, fx), kept.size)
-    if times > 1:
-        filled = finer(filled, times)
-        fx, fy, cx, cy = times * fx, times * fy, *(times * c + (times - 1) / 2 for c in (cx, cy))
+    down, across = times_finer(pixel_width_m(belt_from_camera, fx), kept.size, longer=fx / fy)
+    filled = kept * np.float64(depth_scale_m)
+    if down * across > 1:
+        filled = finer(filled, (down, across))
+        fx, fy, cx, cy = across * fx, down * fy, across * cx + (across - 1) / 2, down * cy + (down - 1) / 2
     there = filled > 0
     holes = fill_holes(filled)
     inside, points, in_camera = _points(filled, there, fx, fy, cx, cy)

@@ -21,7 +21,7 @@ SEED = 20261127
 def test_a_plane_stays_that_plane_up_to_its_outermost_pixels(times: int) -> None:
     v, u = np.mgrid[:9, :12]
     seen = np.pad(np.ones((6, 8), np.bool_), ((2, 1), (1, 3)))
-    fine = finer(np.where(seen, 0.4 + 0.002 * u - 0.003 * v, 0.0), times)
+    fine = finer(np.where(seen, 0.4 + 0.002 * u - 0.003 * v, 0.0), (times, times))
     v, u = (np.mgrid[: 9 * times, : 12 * times] - (times - 1) / 2) / times  # of each fine pixel among the wide ones
     assert fine.shape == v.shape
     assert np.count_nonzero(fine) == pytest.approx(times**2 * np.count_nonzero(seen), rel=0.01), "corners are rounded"
@@ -38,7 +38,7 @@ def test_a_rounded_rim_falls_to_the_belt_where_it_ends() -> None:
         square = radius**2 - v**2 - u**2
         return np.where(square > 0, 0.4 - 0.003 * np.sqrt(np.maximum(square, 0.0)), 0.0)
 
-    told, true = finer(ball(1), times), ball(times)
+    told, true = finer(ball(1), (times, times)), ball(times)
     both = (told > 0) & (true > 0)
     assert np.count_nonzero(told) == pytest.approx(np.count_nonzero(true), rel=0.02)
     rim = both & (true > 0.4 - 0.003 * 3)
@@ -46,10 +46,13 @@ def test_a_rounded_rim_falls_to_the_belt_where_it_ends() -> None:
 
 
 def test_pixels_of_the_training_stay_as_they_are_and_what_is_no_tuber_too() -> None:
-    assert times_finer(WIDEST_PIXEL_M, 4000) == 1
-    assert times_finer(1.01 * WIDEST_PIXEL_M, 4000) == 2
-    assert times_finer(20.0, 4000) == 8
-    assert times_finer(20.0, MOST_PIXELS) == 1
+    assert times_finer(WIDEST_PIXEL_M, 4000) == (1, 1)
+    assert times_finer(1.01 * WIDEST_PIXEL_M, 4000) == (2, 2)
+    assert times_finer(20.0, 4000) == (8, 8)
+    assert times_finer(20.0, MOST_PIXELS) == (1, 1)
+    assert times_finer(WIDEST_PIXEL_M, 4000, longer=1.4) == (1, 1)
+    assert times_finer(1.01 * WIDEST_PIXEL_M, 4000, longer=3.0) == (6, 2)
+    assert times_finer(WIDEST_PIXEL_M, 4000, longer=0.5) == (1, 2)
 
 
 def test_few_wide_pixels_weigh_what_many_do() -> None:
@@ -80,6 +83,28 @@ def test_how_few_were_measured_is_still_said() -> None:
     )
     assert len(few.points) > NETWORK_POINTS
     assert few.flags == ("few_points",)
+
+
+@pytest.mark.parametrize("longer", [2, 3])
+def test_pixels_that_are_longer_than_wide_weigh_what_square_ones_do(longer: int) -> None:
+    """The outline's distance is counted in pixels: such a camera's tubers were weighed 10 and 11 % heavy."""
+    weigher, view = Weigher.load(), ellipsoid_view()
+    k = view.intrinsics
+    told = [
+        weigher.weigh(
+            prepare_depth(
+                view.depth[::rows],
+                depth_scale_m=0.001,
+                fx=k.fx,
+                fy=k.fy / rows,
+                cx=k.cx - view.u0,
+                cy=(k.cy - view.v0) / rows,
+                belt_from_camera=straight_down_belt_from_camera(0.345),
+            )
+        ).weight_g
+        for rows in (1, longer)
+    ]
+    assert told[1] == pytest.approx(told[0], rel=0.02)
 
 
 def every(view: SimulatedView, times: int) -> PreparedCloud:
