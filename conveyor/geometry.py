@@ -123,3 +123,23 @@ def inverse_rigid(a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
     b_from_a[:3, :3] = a_from_b[:3, :3].T
     b_from_a[:3, 3] = -a_from_b[:3, :3].T @ a_from_b[:3, 3]
     return b_from_a
+
+
+Box = tuple[slice, slice]
+
+
+def box_around(inside: NDArray[np.bool_]) -> Box:
+    """Rows and columns of the smallest box around what is marked in (h, w); of no pixel where nothing is."""
+    rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def at_border(box: Box, intrinsics: Intrinsics, *, u0: int = 0, v0: int = 0) -> bool:
+    """Whether what a box holds touches the border of the image, so that a part of it may lie outside; `u0`, `v0`: where
+    the box is counted from.
+    """
+    rows, columns = box
+    first = 0 in (v0 + rows.start, u0 + columns.start)
+    return first or v0 + rows.stop == intrinsics.height or u0 + columns.stop == intrinsics.width

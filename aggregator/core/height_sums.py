@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from conveyor.camera_flags import CUT
 from conveyor.layers import support_mm_of
 from conveyor.messages import Tuber
 
@@ -25,7 +26,7 @@ class HeightSums:
     def add(self, tuber: Tuber) -> None:
         """Count a tuber that was seen whole and lies on the belt."""
         width, height = round(TENTHS * tuber.width_mm), round(TENTHS * tuber.height_mm)
-        if "cut" in tuber.flags or support_mm_of(tuber.flags) > 0:
+        if CUT in tuber.flags or support_mm_of(tuber.flags) > 0:
             return
         if LEAST_RATIO * width < height < MOST_RATIO * width:
             self._put(", ".join(sorted(tuber.cameras)), [1, width, height, width**2, width * height, height**2])

@@ -6,6 +6,7 @@ from aggregator.core.foreign import mean_odds
 from aggregator.core.fusion import fuse
 from aggregator.core.merge import Group
 from aggregator.core.size_fusion import fuse_sizes
+from conveyor.camera_flags import CUT
 from conveyor.layers import on_others_flag
 from conveyor.messages import Tuber
 
@@ -37,7 +38,7 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
     )
     flags = set(weight.flags)
     flags |= {flag for track in tracks for flag in track.flags}
-    flags |= set() if whole else {"cut"}
+    flags |= set() if whole else {CUT}
     flags |= {"late"} if any(member.late for member in members) else set()
     flags |= {"travel_estimated"} if any(track.travel_estimated for track in tracks) else set()
     flags |= {"rejoined"} if len(members) > len(cameras) else set()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from conveyor.camera_flags import CUT
 from conveyor.errors import InputError
 from conveyor.formats.clouds import CLOUDS, read_cloud
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrinsics
@@ -148,7 +149,7 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
     scale_m = stored_scale_m if options.depth_scale_m is None else options.depth_scale_m
     far_m = farthest_m(options.belt_distance_m)
     masked = read_pair(path, intrinsics=intrinsics, depth_scale_m=scale_m, max_depth_m=far_m)
-    return prepare_depth(
+    cloud = prepare_depth(
         masked.depth,
         depth_scale_m=scale_m,
         fx=masked.intrinsics.fx,
@@ -158,6 +159,7 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
         belt_from_camera=straight_down_belt_from_camera(options.belt_distance_m),
         resting_offset_m=options.resting_offset_m,
     )
+    return replace(cloud, flags=(*cloud.flags, CUT)) if masked.cut else cloud
 
 
 def distance_fault(where: Path | str, cloud: PreparedCloud) -> str:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_flags import CUT
 from conveyor.errors import InputError
 from conveyor.formats.plain.depth import DepthUnit
 from conveyor.formats.plain.files import read_frames, read_labels
 from conveyor.formats.plain.pinhole import read_pinhole
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics
-from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.geometry import Intrinsics, at_border, box_around, straight_down_belt_from_camera
 from conveyor.islands import labels_apart
 from regressor.weigh.files import FileOptions, FileResult, distance_fault
 from regressor.weigh.prepare import RefusedCloud, prepare_depth
@@ -25,9 +26,6 @@ APART = (
     "it lies in several places with bare belt between them, so it is several: give each object a number of its own "
     "(1, 2, 3, ..., not 255 to all)"
 )
-CUT = "cut"
-"""Flag of an object at the frame's border: a part of it may lie outside, and its weight is then too small."""
-
 
 def weigh_instances(frame: Path, instances: Path, options: FileOptions, weigher: Weigher) -> Iterator[FileResult]:
     """One result per object, by its number.
@@ -81,16 +79,16 @@ def _weigh(
     weigher: Weigher,
 ) -> FileResult:
     where = f"{frame}, object {label}"
-    rows, columns = np.nonzero(inside.any(1))[0], np.nonzero(inside.any(0))[0]
-    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    box = box_around(inside)
+    rows, columns = box
     try:
         cloud = prepare_depth(
             np.where(inside, depth, 0)[box].astype(np.uint16),
             depth_scale_m=unit_m,
             fx=k.fx,
             fy=k.fy,
-            cx=k.cx - float(columns[0]),
-            cy=k.cy - float(rows[0]),
+            cx=k.cx - columns.start,
+            cy=k.cy - rows.start,
             belt_from_camera=straight_down_belt_from_camera(options.belt_distance_m),
             resting_offset_m=options.resting_offset_m,
         )
@@ -101,6 +99,6 @@ def _weigh(
     if fault:
         return FileResult(frame, len(cloud.points), height_mm, None, error=fault, object=label)
     weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m, resting_sd_m=options.resting_sd_m)
-    if rows[0] == 0 or columns[0] == 0 or rows[-1] == k.height - 1 or columns[-1] == k.width - 1:
+    if at_border(box, k):
         weighed = replace(weighed, flags=(*weighed.flags, CUT))
     return FileResult(frame, len(cloud.points), height_mm, weighed, object=label)

@@ -171,6 +171,20 @@ def test_a_cloud_below_its_belt_is_one_clear_error(tmp_path: Path) -> None:
     assert tuber["weight_g"] == pytest.approx(180, rel=0.2)
 
 
+def test_a_pair_whose_mask_ends_at_the_images_border_is_flagged(twin: Path) -> None:
+    """`weigh` told half a tuber's weight, and nothing else."""
+    images = twin / "1_rgbd" / "1_image" / "R1-1"
+    given = images / "R1-1_depth_365.png", FileOptions(belt_distance_m=0.345), Weigher(None, Sidecar(name="none"))
+    inside = weigh_file(*given)
+    for name in ("R1-1_depth_365.png", "R1-1_rgb_365.png"):
+        image = cv2.imread(str(images / name), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(images / name), np.roll(image, 1280 - 643, axis=1))
+    cut = weigh_file(*given)
+    assert inside.weighed is not None
+    assert cut.weighed is not None
+    assert ("cut" in inside.weighed.flags, "cut" in cut.weighed.flags) == (False, True)
+
+
 def test_broken_pairs_are_named(twin: Path) -> None:
     images = twin / "1_rgbd" / "1_image" / "R1-1"
     depth, rgb = images / "R1-1_depth_365.png", images / "R1-1_rgb_365.png"

@@ -92,6 +92,30 @@ def test_a_mask_is_the_crop(view: View) -> None:
     assert weight == crop
 
 
+def test_a_wide_pixel_is_divided_in_a_whole_image_too(view: View) -> None:
+    """In an image of a camera far away it was not, for its size, and weighed 2 % more than its crop."""
+    k, wide, every = view.intrinsics, {"depth_scale_m": 0.001, "belt_distance_m": 0.345}, 4
+    told = tuberline.Intrinsics(k.width, k.height, k.fx / every, k.fy / every, k.cx / every, k.cy / every)
+    depth = np.ascontiguousarray(view.depth[::every, ::every])
+    rows, columns = depth.shape
+    full = np.zeros((k.height, k.width), np.uint16)
+    v0, u0 = view.v0 // every, view.u0 // every
+    full[v0 : v0 + rows, u0 : u0 + columns] = depth
+    whole = tuberline.weigh_depth(full, intrinsics=told, **wide)
+    assert whole == tuberline.weigh_depth(depth, intrinsics=told, u0=u0, v0=v0, **wide)
+
+
+def test_a_tuber_at_the_images_border_is_flagged(view: View) -> None:
+    """Half of it was weighed as if it were whole, and nothing said."""
+    half = view.depth[:, : view.depth.shape[1] // 2]
+    given = {"intrinsics": view.intrinsics, "depth_scale_m": 0.001, "belt_distance_m": 0.345}
+    at_border, inside = (
+        tuberline.weigh_depth(half, u0=view.intrinsics.width - half.shape[1] - away, v0=view.v0, **given)
+        for away in (0, 1)
+    )
+    assert ("cut" in at_border.flags, "cut" in inside.flags) == (True, False)
+
+
 def test_a_cloud_weighs_the_same_from_an_array_and_a_file(view: View, tmp_path: Path) -> None:
     cloud = cloud_of(view)
     np.save(tmp_path / "tuber.npy", cloud)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_flags import CUT
 from conveyor.errors import InputError
 from conveyor.formats.clouds import read_cloud
-from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.geometry import Intrinsics, at_border, box_around, straight_down_belt_from_camera
 from conveyor.geometry import belt_distance_m as distance_of
 from conveyor.pose import pose_fault
 from conveyor.stated import BELT_DISTANCE_M, BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
@@ -44,7 +45,8 @@ class Weight:
         method: 'pointraft' (the network with the volume rule), or 'volume'.
         model: name and digest of the weights, e.g. 'tuberline-sim@afd68040'.
         flags: what is unusual: 'few_points', 'extent', 'height_clamped', 'belt_distance', 'size', 'weight',
-            'volume_disagrees', 'camera_unlike', 'rows_missing', 'in_parts', 'network_failed'.
+            'volume_disagrees', 'camera_unlike', 'rows_missing', 'in_parts', 'network_failed', 'cut' (at the image's
+            border: a part of it may lie outside).
     """
 
     weight_g: float
@@ -227,16 +229,22 @@ def weigh_depth(
     if belt_distance_m is not None:
         belt_from_camera = straight_down_belt_from_camera(in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M))
     pose = _checked_pose(belt_from_camera)
+    seen = depth if mask is None else np.where(mask, depth, 0).astype(np.uint16)
+    box = box_around(seen > 0)
+    rows, columns = box
     prepared = prepare_depth(
-        depth if mask is None else np.where(mask, depth, 0).astype(np.uint16),
+        seen[box],
         depth_scale_m=depth_scale_m,
         fx=intrinsics.fx,
         fy=intrinsics.fy,
-        cx=intrinsics.cx - u0,
-        cy=intrinsics.cy - v0,
+        cx=intrinsics.cx - (u0 + columns.start),
+        cy=intrinsics.cy - (v0 + rows.start),
         belt_from_camera=pose,
     )
-    return _weighed(prepared, belt_sd_mm, weights)
+    weight = _weighed(prepared, belt_sd_mm, weights)
+    if at_border(box, intrinsics, u0=u0, v0=v0):
+        weight = replace(weight, flags=(*weight.flags, CUT))
+    return weight
 
 
 def prepare(

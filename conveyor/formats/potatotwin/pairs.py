@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.formats.png16 import Refusal, is_whole_png, read_png16
 from conveyor.formats.potatotwin.layout import pair_of
-from conveyor.geometry import Intrinsics
+from conveyor.geometry import Intrinsics, at_border, box_around
 
 MAX_DEPTH_M = 0.5
 """Beyond it the reference takes nothing for a tuber."""
@@ -38,10 +38,13 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class MaskedDepth:
-    """A tuber's depth crop. `depth` (h, w) uint16 is zero outside the mask; `intrinsics` are of the crop."""
+    """A tuber's depth crop. `depth` (h, w) uint16 is zero outside the mask; `intrinsics` are of the crop. `cut`: the
+    mask touches the image's border.
+    """
 
     depth: NDArray[np.uint16]
     intrinsics: Intrinsics
+    cut: bool
 
 
 def farthest_m(belt_distance_m: float) -> float:
@@ -82,18 +85,18 @@ def read_pair(path: Path, *, intrinsics: Intrinsics, depth_scale_m: float, max_d
     inside = pair.mask & (depth > 0) & (depth.astype(np.float64) * depth_scale_m < max_depth_m)
     if not inside.any():
         raise NoDepthError(_no_depth_said(pair, depth_path, rgb_path, depth_scale_m=depth_scale_m, most_m=max_depth_m))
-    rows, columns = np.nonzero(inside.any(1))[0], np.nonzero(inside.any(0))[0]
-    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    box = box_around(inside)
+    rows, columns = box
     crop = np.where(inside, depth, 0)[box].astype(np.uint16)
     shifted = Intrinsics(
         width=crop.shape[1],
         height=crop.shape[0],
         fx=intrinsics.fx,
         fy=intrinsics.fy,
-        cx=intrinsics.cx - float(columns[0]),
-        cy=intrinsics.cy - float(rows[0]),
+        cx=intrinsics.cx - columns.start,
+        cy=intrinsics.cy - rows.start,
     )
-    return MaskedDepth(crop, shifted)
+    return MaskedDepth(crop, shifted, at_border(box_around(pair.mask), intrinsics))
 
 
 def _no_depth_said(pair: Pair, depth_path: Path, rgb_path: Path, *, depth_scale_m: float, most_m: float) -> str:
