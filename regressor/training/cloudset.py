@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor import depth_noise
+from conveyor import crop_depth, depth_noise
 from conveyor.errors import InputError
 from conveyor.files import whole_output
 from conveyor.formats import ply
@@ -35,13 +35,13 @@ from regressor.network.sampling import farthest_points
 from regressor.training import labelled, plausible
 from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled, tubers_without_views
 from regressor.training.plausible import Seen
-from regressor.weigh import outline, pixel_grid, prepare, profile, surface
+from regressor.weigh import finer, outline, pixel_grid, prepare, profile, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 from regressor.weigh.view_features import view_features
 
 KEEP = 384
 READERS = (labelled, plausible, ply, packed, pinhole, intrinsics, layout, pairs, resting, twin)
-PREPARERS = (prepare, sampling, outline, pixel_grid, surface, profile, depth_noise)
+PREPARERS = (prepare, crop_depth, finer, sampling, outline, pixel_grid, surface, profile, depth_noise)
 
 LABELS = (
     *("weight_g", "volume_ml", "length_mm", "belt_distance_m", "belt_sd_m", "row_share", "resting_sd_m", *NUMBERS),

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-WIDEST_PIXEL_M = 0.00132
-"""On the belt: of 848 pixels across 88 degrees, 0.57 m above it."""
+from conveyor.crop_depth import WIDEST_PIXEL_M
+
 MOST_TIMES, MOST_PIXELS = 8, 1 << 20
 """Pixels that are wider still are so few on a tuber that finer ones tell no more; a view of so many has none on it."""
 STEEPER = 1 + 3**0.5
@@ -20,11 +20,6 @@ STEEPER = 1 + 3**0.5
 from the outline, 1/2, 3/2, ... pixels in the mean: it is at the belt half a pixel further out."""
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 _CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-
-
-def pixel_width_m(belt_from_camera: NDArray[np.float64], fx: float) -> float:
-    """How wide a pixel is on the belt under a camera, metres. `belt_from_camera`: (4, 4). `fx`: in pixels."""
-    return float(belt_from_camera[2, 3]) / fx
 
 
 def times_finer(pixel_m: float, pixels: int, *, longer: float = 1.0) -> tuple[int, int]:

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.crop_depth import PART
 from conveyor.geometry import height_coefficients
 from conveyor.kernels import kernel
 from conveyor.messages import View
-from regressor.weigh.clean import PART
 
 OPENING_PX = 5
 """What is narrower than such a disc is a scrap. With 3 px, loads seen by cameras that grow outlines stay 1 to 2 %

@@ -27,6 +27,7 @@ APART = (
     "(1, 2, 3, ..., not 255 to all)"
 )
 
+
 def weigh_instances(frame: Path, instances: Path, options: FileOptions, weigher: Weigher) -> Iterator[FileResult]:
     """One result per object, by its number.
 

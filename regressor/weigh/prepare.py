@@ -3,7 +3,7 @@
 The order follows the reference: clean, height above the belt from the raw cloud, centre on the mean of all points,
 sample. Two things are ours. A tilted camera's cloud is first turned so that its z axis is the
 belt's normal (the identity for a camera that looks straight down). And strays are removed by a test on the depth
-image instead of DBSCAN, where rows that its camera left out are filled before: see `clean`.
+image instead of DBSCAN, where rows that its camera left out are filled before: see `conveyor.crop_depth`.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_flags import OUTLINE_GROWN
+from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, pixel_width_m, step_units
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.kernels import kernel
 from conveyor.messages import View
-from regressor.weigh.clean import clean_depth, filled_rows, in_parts, step_units
-from regressor.weigh.finer import finer, pixel_width_m, times_finer
+from regressor.weigh.finer import finer, times_finer
 from regressor.weigh.grown import cut_back, view_heights_m
-from regressor.weigh.outline import angle_image, fill_holes
+from regressor.weigh.outline import angle_image
 from regressor.weigh.pixel_grid import gridded
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
 
@@ -31,8 +32,6 @@ NETWORK_POINTS = 1024
 MAX_EXTENT_M = 0.2
 MAX_POINTS = 60_000
 VOXEL_M = 0.0005
-GROWN = "outline_grown"
-"""Flag of a view whose outline was cut back."""
 MISSING = "rows_missing"
 """Flag of a view whose camera left out rows or columns; they were filled."""
 PARTS = "in_parts"
@@ -114,7 +113,7 @@ def prepare_view(view: View) -> PreparedCloud:
         belt_from_camera=view.belt_from_camera,
         resting_offset_m=view.resting_offset_m,
     )
-    return cloud if cut is None else replace(cloud, flags=(*cloud.flags, GROWN))
+    return cloud if cut is None else replace(cloud, flags=(*cloud.flags, OUTLINE_GROWN))
 
 
 def prepare_depth(

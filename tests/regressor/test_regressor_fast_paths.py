@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.crop_depth import fill_holes
 from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _residuals, _tuber, _windows, disparity
 from regressor.network.sampling import farthest_points
 from regressor.weigh.completed import LEAST_HEIGHT, _about_middle, _directions, _extremes, _reach_mm, _turned
 from regressor.weigh.grown import view_heights_m
-from regressor.weigh.outline import fill_holes
 from regressor.weigh.prepare import _areas, _centred, _points
 from regressor.weigh.quadratic import pairs_of, quadratic
 from regressor.weigh.surface import (

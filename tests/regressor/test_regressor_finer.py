@@ -8,8 +8,9 @@ import pytest
 from camera_sim.sim.optics import D405_848
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import SimulatedView, ViewSimulator
+from conveyor.crop_depth import WIDEST_PIXEL_M
 from conveyor.geometry import straight_down_belt_from_camera
-from regressor.weigh.finer import MOST_PIXELS, WIDEST_PIXEL_M, finer, times_finer
+from regressor.weigh.finer import MOST_PIXELS, finer, times_finer
 from regressor.weigh.prepare import NETWORK_POINTS, PreparedCloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import ellipsoid_view

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from conveyor.crop_depth import clean_depth
 from conveyor.geometry import straight_down_belt_from_camera
-from regressor.weigh.clean import clean_depth
 from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.prepare import (
     MAX_POINTS,
