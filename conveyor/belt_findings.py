@@ -12,7 +12,7 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
             belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_coarse_m, encoder_behind_m,
-            load_torn_m, masks_merged, and those of its gauge.
+            load_torn_m, masks_merged, outline_grown_px, farther_than_travel, and those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -68,6 +68,7 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "tubers are taken for one, or do not count. Give each tuber a label of its own (1, 2, 3, ..., not 255 to "
             "all), or have them found on depth (`replay --ignore-masks`, or ignore_masks in a line's file)"
         )
+    found |= _seen_twice(camera, gauges)
     if gauges.get("gauge_unseen"):
         found["gauge_unseen"] = (
             f"camera '{camera}': the gauge of [belt] has not been seen once, so a depth scale that drifts goes unseen. "
@@ -77,6 +78,25 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     cause = _CAUSES.get(gauges.get("gauge_cause", 0.0))
     if cause is not None:
         found["gauge_" + cause] = _gauge_finding(camera, cause, gauges)
+    return found
+
+
+def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
+    """What the same tubers in several frames say of the camera."""
+    found = {}
+    if grown_px := gauges.get("outline_grown_px"):
+        found["outline_grown_px"] = (
+            f"camera '{camera}': outlines are {grown_px:.1f} px larger all round than the tubers are, as other frames "
+            "show them. Views are cut back by so much before they are weighed; those before this was known read heavy. "
+            "A smaller matching window in the camera's settings keeps outlines where they are"
+        )
+    if farther := gauges.get("farther_than_travel"):
+        found["farther_than_travel"] = (
+            f"camera '{camera}': it puts tubers {100 * abs(farther):.1f} % {'farther' if farther > 0 else 'nearer'} "
+            "than the belt's travel says. Either its depth has drifted, and weights are off by two to three times as "
+            "much, or the encoder's metres a pulse are off: weigh one bucket (`tuberline calibrate bucket`), and "
+            "measure the encoder over a few metres of belt"
+        )
     return found
 
 

@@ -1,4 +1,4 @@
-"""The segmenter of a camera whose belt is known: six steps from a depth frame to tracks that count."""
+"""The segmenter of a camera whose belt is known: seven steps from a depth frame to tracks that count."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_flags import OUTLINE_GROWN, OUTLINE_LOST
 from conveyor.gauge import Gauge
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
@@ -20,6 +21,7 @@ from segmenter.frame.instances import Instances, SplitSettings, given
 from segmenter.frame.mask_watch import MaskWatch
 from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.frame.sides import with_own_centres
+from segmenter.outline.watch import OutlineWatch
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
@@ -86,6 +88,7 @@ class BeltSegmenter:
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
         self.noise = NoiseWatch()
         self.masks = MaskWatch()
+        self.outlines = OutlineWatch(low_m, high_m)
         self.flags: tuple[str, ...] = ()
         self.refused: Counter[str] = Counter()
         self.instances: Instances | None = None
@@ -115,6 +118,9 @@ class BeltSegmenter:
 
         # Top views to classify and depth crops to weigh
         self._collect(frame, heights, instances, found)
+
+        # How far the camera's outlines are off
+        self.outlines.step(frame, instances, found, self.tracker, motion.travel_m)
 
         # Tracks that are due: counted, or refused with a reason
         closed = self._decide(frame)
@@ -223,11 +229,16 @@ class BeltSegmenter:
                         track.rims.append(rim_of(instances, index, heights))
 
     def _moment(self, frame: Frame) -> Moment:
-        return Moment(frame, self.tracker, self.follower, self.noise.noise_px, self.flags)
+        reading = self.outlines.reading
+        grown_px, lost_mm = (reading.grown_px, reading.lost_beyond_mm) if reading else (0.0, 0.0)
+        outline = (OUTLINE_GROWN,) if grown_px else (OUTLINE_LOST,) if lost_mm else ()
+        flags = (*self.flags, *outline)
+        return Moment(frame, self.tracker, self.follower, self.noise.noise_px, flags, grown_px, lost_mm)
 
     def _decide(self, frame: Frame) -> list[ClosedTrack]:
         closed = self.decider.decide(self._moment(frame), everything=False)
         self.tracker.drop_gone(self.follower.travel_m)
+        self.outlines.keep_only(self.tracker.tracks)
         return closed
 
 

@@ -17,6 +17,7 @@ from segmenter.frame.gate import FrameGate
 from segmenter.frame.instances import Instances
 from segmenter.frame.plane import BeltCheck
 from segmenter.gauge.keeper import GaugeKeeper
+from segmenter.outline.watch import OutlineReading
 from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
@@ -121,9 +122,15 @@ class Segmenter:
         """Frames in which a given mask's label lies in several places apart."""
         return self._running.masks.merged if self._running else 0
 
+    @property
+    def outlines(self) -> OutlineReading | None:
+        """How far the camera's outlines are off; None before enough tubers were seen twice."""
+        return self._running.outlines.reading if self._running else None
+
     def gauges(self) -> dict[str, float]:
         """Levels of what encoder, load and given masks say, as `conveyor.belt_findings` takes them."""
         return {
+            **(self.outlines.gauges() if self.outlines else {}),
             "encoder_behind_m": self.encoder_behind_m,
             "load_torn_m": self.torn_m,
             "masks_merged": self.merged_masks,

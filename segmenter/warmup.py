@@ -8,6 +8,8 @@ import numpy as np
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
 from segmenter.classify.patch import Patch
+from segmenter.outline.body import Body
+from segmenter.outline.compare import compare
 from segmenter.pipeline import Segmenter, Settings
 
 
@@ -35,5 +37,16 @@ def warm_up(pixel_mm: float) -> None:
         )
         # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
         core.step(Frame.decode(frame.encode()))
-    # What is asked of a track at its end, which two frames have none of.
+    # What is asked of a track at its end, and of a tuber seen from two sides, which two frames have none of.
     Patch(observations=1).channels()
+    depth_m = np.full((24, 24), 0.42, np.float32)
+    body = Body(
+        travel_m=0.0,
+        belt_from_camera=straight_down_belt_from_camera(0.46),
+        camera=np.array([460.0, 460.0, 12.0, 12.0]),
+        depth_m=depth_m,
+        soft_m=depth_m,
+        rim_px=np.full(depth_m.shape, 9.0, np.float32),
+        beside=np.zeros(depth_m.shape, np.bool_),
+    )
+    compare(body, body)

@@ -43,6 +43,7 @@ class View(Message):
         resting_offset_m: how far under that belt this tuber's underside lies; negative above it, as on others.
         resting_sd_m: how well that is known, standard deviation.
         camera_noise_px: local noise of its camera's depth, pixels of disparity at a baseline of 18 mm; None: not known.
+        outline_lost_mm: what the camera takes off outlines beyond what weights know, as the line measured it.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
         takes: which of `LATER_PARTS` its sender understands in the answer; 0.1 says nothing of it.
     """
@@ -64,6 +65,7 @@ class View(Message):
     resting_offset_m: Annotated[float, Range(-0.2, 0.1, "m")] = 0.0
     resting_sd_m: Annotated[float, Range(0, 0.1, "m")] = 0.0
     camera_noise_px: Annotated[float, Range(0, 100, "px")] | None = None
+    outline_lost_mm: Annotated[float, Range(0, 100, "mm")] = 0.0
     takes: Words = ()
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {

@@ -13,6 +13,7 @@ from conveyor.messages.views import LATER_PARTS
 from conveyor.reasons import TrackRefusal
 from conveyor.resting import RestingLevel
 from segmenter.classify.patch import Patch
+from segmenter.outline.growth import without_growth
 from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
@@ -40,13 +41,16 @@ MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 @dataclass(frozen=True, slots=True)
 class Moment:
     """The frame at which tracks are decided, and where everything is. `noise_px`: of the camera's depth, if known;
-    `flags`: what is wrong with the camera."""
+    `flags`: what is wrong with the camera; `grown_px`: by how much it lets outlines grow;
+    `lost_mm`: what it takes off them beyond what weights know."""
 
     frame: Frame
     tracker: Tracker
     follower: BeltFollower
     noise_px: float | None = None
     flags: tuple[str, ...] = ()
+    grown_px: float = 0.0
+    lost_mm: float = 0.0
 
 
 class TrackDecider:
@@ -272,9 +276,10 @@ def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m
         intrinsics=frame.intrinsics,
         u0=candidate.u0,
         v0=candidate.v0,
-        depth=candidate.depth,
+        depth=without_growth(candidate.depth, now.grown_px),
         belt_from_camera=candidate.belt_from_camera,
         belt_sd_m=belt_sd_m,
         camera_noise_px=now.noise_px,
+        outline_lost_mm=now.lost_mm,
         takes=LATER_PARTS,
     )

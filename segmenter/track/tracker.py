@@ -58,6 +58,7 @@ class Tracker:
         self.settings = settings
         self.tracks: list[TrackState] = []
         self.opened = 0
+        self.shifts = 0
         self._view_offsets_m = view_offsets_m
         self._low_m, self._high_m = belt.x_range(0.03)
 
@@ -116,7 +117,8 @@ class Tracker:
         return found
 
     def shift(self, by_m: float) -> None:
-        """The belt had moved `by_m` more than was known: all places lie that much further back."""
+        """The belt had moved `by_m` more than was known: all places lie that much further back. `shifts` counts."""
+        self.shifts += 1
         for track in self.tracks:
             track.place_x_m -= by_m
             track.hits = [replace(hit, travel_m=hit.travel_m + by_m) for hit in track.hits]

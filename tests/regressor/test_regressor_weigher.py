@@ -76,6 +76,14 @@ def test_a_camera_noisier_than_the_trained_ones_is_flagged_and_changes_no_weight
     assert len({answer.weight_g for answer in answers}) == 1
 
 
+def test_what_a_camera_takes_off_outlines_beyond_the_trained_ones_makes_a_weight_heavier(weigher: Weigher) -> None:
+    view = ellipsoid_view(AXES)
+    none, two, ten = (weigh_view(weigher, replace(view, outline_lost_mm=mm), regressor="r1") for mm in (0.0, 2.0, 10.0))
+    for answer, share in ((two, 1.0408), (ten, 1.0833)):
+        for name in ("weight_g", "low_g", "high_g"):
+            assert getattr(answer, name) == pytest.approx(share * getattr(none, name), rel=1e-4)
+
+
 def test_a_weight_does_not_depend_on_what_was_weighed_before(weigher: Weigher) -> None:
     views = [ellipsoid_view((0.03 + 0.004 * i, 0.03, 0.026), name=f"t{i}/0") for i in range(4)]
     views.append(ellipsoid_view((0.12, 0.03, 0.03), name="wide/0"))

@@ -21,6 +21,11 @@ OTHER_WAY = {
     "load_torn_m": "look at the camera's pictures (`tuberline watch`), or connect an encoder",
 }
 """Levels of a load that moves otherwise than pose or encoder say, and what to do."""
+SEEN_TWICE = {
+    "outline_grown_px": "a smaller matching window in the camera's settings",
+    "farther_than_travel": "`tuberline calibrate bucket`, and the encoder over a few metres of belt",
+}
+"""Levels of what the same tubers in several frames say of a camera, and what to do."""
 UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'
 WRONG_SCALE = 3.0
 """Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
@@ -72,6 +77,9 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
         if why:
             fix = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
             found.append(warning(f"gauge of {camera}", why[0], UNSEEN if gauges.get("gauge_unseen") else fix))
+        for key, fix in SEEN_TWICE.items():
+            if gauges.get(key):
+                found.append(warning(f"tubers of {camera}", belt_findings(camera, gauges)[key], fix))
         for key, fix in OTHER_WAY.items():
             if gauges.get(key):
                 found.append(fault(f"belt of {camera}", belt_findings(camera, gauges)[key], fix))

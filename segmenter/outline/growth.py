@@ -1,0 +1,27 @@
+"""A view without what its camera added to its outline."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+LEAST_LEFT = 0.25
+"""Of a view's pixels: a tuber of which less would be left is too small to be cut, and stays as it is."""
+
+
+def without_growth(depth: NDArray[np.uint16], grown_px: float) -> NDArray[np.uint16]:
+    """(h, w) `depth` without what lies within `grown_px` of its outline; holes in it stay as large as they are.
+
+    Args:
+        depth: (h, w) of a view, 0 outside the tuber. grown_px: 0 leaves it as it is.
+    """
+    if grown_px <= 0:
+        return depth
+    seen = np.pad((depth > 0).astype(np.uint8), 1)
+    outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.asarray(cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED), np.uint8)
+    # The outermost pixels lie 1 px from what is outside, their outer edges half a pixel.
+    inner = cv2.distanceTransform(filled, cv2.DIST_L2, cv2.DIST_MASK_5)[1:-1, 1:-1] > grown_px + 0.5
+    left = np.where(inner, depth, 0).astype(np.uint16)
+    return left if np.count_nonzero(left) >= LEAST_LEFT * np.count_nonzero(depth) else depth

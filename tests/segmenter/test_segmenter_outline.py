@@ -1,0 +1,142 @@
+"""How far a camera's outlines are off, by the same tubers in several frames; and what is cut back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from segmenter_scene import MEDIUM, Scene, scattered
+
+from conveyor.belt_findings import belt_findings
+from conveyor.camera_flags import OUTLINE_GROWN
+from conveyor.messages import Frame
+from segmenter.outline.growth import without_growth
+from segmenter.outline.watch import OutlineReading
+from segmenter.pipeline import ClosedTrack, Segmenter, Settings
+
+STEP_M = 0.03
+FRAMES = 66
+
+
+def worn(scene: Scene, seq: int, px: float, *, travel_share: float = 1.0) -> Frame:
+    """A frame whose tubers' outlines were moved out by `px` pixels, or in where it is below 0."""
+    frame = scene.frame(seq, seq * STEP_M)
+    depth, labels = scene.render(seq * STEP_M, seq)
+    body = (labels > 0).astype(np.uint8)
+    if px > 0:
+        away, nearest = cv2.distanceTransformWithLabels(1 - body, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        of = np.zeros(int(nearest.max()) + 1, np.uint16)
+        of[nearest[body > 0]] = depth[body > 0]
+        depth = np.where((body == 0) & (away <= px), of[nearest], depth)
+    elif px < 0:
+        inside = cv2.distanceTransform(body, cv2.DIST_L2, 5)
+        depth = np.where((body > 0) & (inside <= -px), 0, depth)
+    return replace(frame, depth=depth.astype(np.uint16), travel_m=seq * STEP_M * travel_share)
+
+
+def run(frames: Iterable[Frame]) -> tuple[Segmenter, list[ClosedTrack], OutlineReading]:
+    core, closed = Segmenter(Settings()), []
+    for frame in frames:
+        closed += core.step(frame).closed
+    reading = core.outlines
+    assert reading is not None
+    return core, closed, reading
+
+
+def seen_px(closed: list[ClosedTrack]) -> dict[float, int]:
+    """By place, the pixels of each tuber's best view."""
+    return {round(c.track.place_x_m, 2): int(np.count_nonzero(c.views[0].depth)) for c in closed}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene([replace(b, place_x_m=2 * b.place_x_m) for b in scattered(15, seed=4)], MEDIUM, noise_m=0.0003)
+
+
+@pytest.fixture(scope="module")
+def clean(scene: Scene) -> tuple[Segmenter, list[ClosedTrack], OutlineReading]:
+    return run(worn(scene, i, 0) for i in range(FRAMES))
+
+
+def test_outlines_as_they_are_stay_as_they_are(clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]) -> None:
+    core, closed, reading = clean
+    assert abs(reading.lost_px) < 0.4
+    assert abs(reading.farther) < 0.003
+    assert reading.grown_px == 0
+    assert core.gauges()["outline_grown_px"] == 0
+    assert belt_findings("front", core.gauges()) == {}
+    assert all(OUTLINE_GROWN not in c.track.flags for c in closed)
+
+
+def test_outlines_that_grow_are_measured_told_and_cut_back(
+    scene: Scene, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]
+) -> None:
+    core, closed, reading = run(worn(scene, i, 3) for i in range(FRAMES))
+    assert reading.lost_px == pytest.approx(clean[2].lost_px - 3, abs=0.5)
+    assert reading.grown_px == pytest.approx(-reading.lost_px, abs=0.3)
+    assert f"outlines are {reading.grown_px:.1f} px larger" in belt_findings("front", core.gauges())["outline_grown_px"]
+    flagged = [OUTLINE_GROWN in c.track.flags for c in closed]
+    assert flagged == sorted(flagged)  # from the moment on from which it is known
+    assert not flagged[0]
+    assert flagged[-1]
+    as_they_are, cut = seen_px(clean[1]), seen_px([c for c in closed if OUTLINE_GROWN in c.track.flags])
+    grown = seen_px([c for c in closed if OUTLINE_GROWN not in c.track.flags])
+    assert all(n == pytest.approx(as_they_are[place], rel=0.06) for place, n in cut.items())
+    assert all(n > 1.08 * as_they_are[place] for place, n in grown.items())
+
+
+def test_outlines_that_are_lost_are_measured_and_left(
+    scene: Scene, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]
+) -> None:
+    core, _, reading = run(worn(scene, i, -1) for i in range(FRAMES))
+    assert reading.lost_px == pytest.approx(clean[2].lost_px + 1, abs=0.4)
+    assert core.gauges()["outline_grown_px"] == 0
+
+
+def test_a_travel_that_disagrees_with_the_distances_is_no_outline(scene: Scene) -> None:
+    core, _, reading = run(worn(scene, i, 0, travel_share=0.97) for i in range(FRAMES))
+    assert reading.farther == pytest.approx(0.03, abs=0.006)
+    assert abs(reading.lost_px) < 1.0
+    assert reading.grown_px == 0
+    told = f"it puts tubers {100 * reading.farther:.1f} % farther than the belt's travel says"
+    assert told in belt_findings("front", core.gauges())["farther_than_travel"]
+
+
+def test_a_belt_without_an_encoder_says_the_same_of_its_outlines(scene: Scene) -> None:
+    _, _, reading = run(replace(worn(scene, i, 3), travel_m=None) for i in range(FRAMES))
+    assert reading.grown_px == pytest.approx(3, abs=0.6)
+    assert abs(reading.farther) < 0.01
+
+
+def test_only_what_is_known_to_be_lost_makes_weights_heavier() -> None:
+    known = OutlineReading(
+        lost_px=4.0, sd_px=0.3, as_seen_px=4.2, mm_per_px=1.0, farther=0.0, farther_sd=0.001, tubers=20
+    )
+    assert known.lost_beyond_mm == pytest.approx(2.4, abs=0.1)
+    assert known.grown_px == 0
+    for less in ({"tubers": 5}, {"as_seen_px": 1.0}, {"sd_px": 3.0}, {"lost_px": 1.5}):
+        assert replace(known, **less).lost_beyond_mm == 0  # type: ignore[arg-type]
+
+
+def test_the_same_frames_say_the_same(scene: Scene, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]) -> None:
+    assert run(worn(scene, i, 0) for i in range(FRAMES))[2] == clean[2]
+
+
+def disc(radius: int) -> NDArray[np.uint16]:
+    v, u = np.mgrid[-40:41, -40:41]
+    return np.where(np.hypot(u, v) <= radius, 400, 0).astype(np.uint16)
+
+
+def test_growth_is_cut_from_outside_alone() -> None:
+    holed = disc(30)
+    holed[38:43, 38:43] = 0
+    cut = without_growth(holed, 4.0)
+    assert np.count_nonzero(disc(25)) <= np.count_nonzero(cut) + 25 <= np.count_nonzero(disc(26))
+    assert np.array_equal(cut[30:51, 30:51], holed[30:51, 30:51])
+    assert without_growth(holed, 0.0) is holed
+    small = disc(5)
+    assert without_growth(small, 4.0) is small
