@@ -105,7 +105,12 @@ def _by_line(recording: Path) -> tuple[Score, Sequence[Tuber], dict[str, Any]]:
     return (
         result.score(recording / "truth.json"),
         result.tubers,
-        {"discarded": result.discarded, "belt_off_mm": result.belt_off_mm, "parts": dict(result.totals.parts_percent)},
+        {
+            "discarded": result.discarded,
+            "belt_off_mm": result.belt_off_mm,
+            "outline_lost_px": result.outline_lost_px,
+            "parts": dict(result.totals.parts_percent),
+        },
     )
 
 
@@ -146,9 +151,9 @@ def _singles(score: Score, tubers: Sequence[Tuber], truth: dict[str, Any]) -> di
 
 
 HEAD = (
-    "| recording | true | missed | twice | false | load off | 90 % interval | holds | belt seen | singles: MAE "
-    "| within 8 % | intervals hold |\n"
-    "| --- | ---: | ---: | ---: | ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: |"
+    "| recording | true | missed | twice | false | load off | 90 % interval | holds | belt seen "
+    "| outlines, px | singles: MAE | within 8 % | intervals hold |\n"
+    "| --- | ---: | ---: | ---: | ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: | ---: |"
 )
 
 
@@ -168,6 +173,7 @@ def row(found: dict[str, Any]) -> str:
         f"{low:+.0f} to {high:+.0f} %",
         "yes" if low <= 0 <= high else "**no**",
         "-" if found["coverage"] is None else f"{100 * found['coverage']:.0f} %",
+        " ".join(f"{-lost_px:+.1f}" for lost_px in found.get("outline_lost_px", {}).values()) or "-",
         f"{errors.mean():.1f} %" if len(errors) else "-",
         f"{100 * (errors <= SINGLE_PERCENT).mean():.0f} %" if len(errors) else "-",
         f"{100 * singles[:, 2].mean():.0f} %" if len(errors) else "-",
@@ -187,7 +193,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         f"all | {true} | {missed} | {twice} | {false}",
         f"mean {errors.mean():+.1f}, sd {errors.std():.1f} %, {near} of {len(rows)} within {LOAD_PERCENT:g} %",
         f"| {held} of {len(rows)}",
-        f"| {off.mean():.1f} %",
+        f"| | {off.mean():.1f} %",
         f"{100 * (off <= SINGLE_PERCENT).mean():.0f} %",
         f"{100 * singles[:, 2].mean():.0f} %",
     ]

@@ -41,6 +41,8 @@ class LineResult:
     Attributes:
         discarded: tracks that were not counted, by reason, all cameras together.
         belt_off_mm: by camera, the belt as the last check saw it less the belt as given; missing where none was seen.
+        outline_lost_px: by camera, what is missing of outlines, pixels; below 0 they have grown; missing where too few
+            tubers told.
         totals: of the load, as the ledger's summary has them before any ticket.
     """
 
@@ -49,6 +51,7 @@ class LineResult:
     estimated: bool
     discarded: dict[str, int]
     belt_off_mm: dict[str, float]
+    outline_lost_px: dict[str, float]
     totals: Totals
 
     def score(self, truth: Path) -> Score:
@@ -96,6 +99,7 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     )
     discarded: Counter[str] = Counter()
     belt_off_mm: dict[str, float] = {}
+    outline_lost_px: dict[str, float] = {}
     estimated = False
     for name in names:
         camera = _run_camera(recording, name, config, weigher, line)
@@ -104,6 +108,8 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
         discarded.update({str(reason): n for reason, n in camera.core.discarded.items()})
         if (drift_m := camera.core.belt_check.drift_m) is not None:
             belt_off_mm[name] = 1000 * drift_m
+        if (reading := camera.core.outlines) is not None:
+            outline_lost_px[name] = reading.lost_px
     batch = line.commit(now_s=0.0)
     if not line.finished:
         raise TuberlineError(f"{recording}: {line.pending} tracks are still pending after the last frame")
@@ -115,7 +121,8 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     totals = LoadTotals(sums, prior=prior_told(told_belt(config))).message(
         RUN, coverage=seen.share, cameras={}, final=True, belt_m=seen.belt_m
     )
-    return LineResult(batch.tubers, seen.share, estimated, dict(sorted(discarded.items())), belt_off_mm, totals)
+    reasons = dict(sorted(discarded.items()))
+    return LineResult(batch.tubers, seen.share, estimated, reasons, belt_off_mm, outline_lost_px, totals)
 
 
 def _run_camera(recording: Path, name: str, config: LineConfig, weigher: Weigher, line: Aggregation) -> CameraRun:
