@@ -19,7 +19,7 @@ def warm_up(pixel_mm: float) -> None:
     """
     cv2.setNumThreads(1)
     core = Segmenter(Settings())
-    for seq, row in enumerate((60, 64)):
+    for seq, row in enumerate((40, 44)):
         depth = np.full((160, 200), 460, np.uint16)
         depth[row : row + 24, 80:110] = 420
         depth[row : row + 24, 110:128] = 430

@@ -122,10 +122,6 @@ def test_only_what_is_known_to_be_lost_makes_weights_heavier() -> None:
         assert replace(known, **less).lost_beyond_mm == 0  # type: ignore[arg-type]
 
 
-def test_the_same_frames_say_the_same(scene: Scene, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]) -> None:
-    assert run(worn(scene, i, 0) for i in range(FRAMES))[2] == clean[2]
-
-
 def disc(radius: int) -> NDArray[np.uint16]:
     v, u = np.mgrid[-40:41, -40:41]
     return np.where(np.hypot(u, v) <= radius, 400, 0).astype(np.uint16)
