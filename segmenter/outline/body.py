@@ -84,8 +84,8 @@ def body_of(frame: Frame, candidate: Candidate, instances: Instances, index: int
 
 
 def _smoothed(
-    depth_m: NDArray[np.float64], seen: NDArray[np.uint8], smooth: Callable[[NDArray[np.float64]], Any]
+    depth_m: NDArray[np.float64], seen: NDArray[np.uint8], smooth: Callable[[NDArray[np.float32]], Any]
 ) -> NDArray[np.float32]:
     """Of what is seen alone; 0 elsewhere."""
-    share = np.maximum(smooth(seen.astype(np.float64)), 1e-9)
-    return np.where(seen, smooth(depth_m) / share, 0.0).astype(np.float32)
+    share = np.maximum(smooth(seen.astype(np.float32)), np.float32(1e-6))
+    return np.where(seen, smooth(depth_m.astype(np.float32)) / share, np.float32(0))
