@@ -74,6 +74,12 @@ def _rows_missing(depth: NDArray[np.uint16]) -> bool:
     return any(np.count_nonzero(seen[full[i]] & seen[full[i + 1]]) >= least for i in near)
 
 
+def closed(seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(h, w) 1 inside the outline of what is 1 in `seen`, its holes included; 0 elsewhere."""
+    outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return np.asarray(cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED), np.uint8)
+
+
 def in_parts(inside: NDArray[np.bool_]) -> bool:
     """Whether an outline (h, w) falls into parts: something lies across the tuber, or there is more than one."""
     outlines, _ = cv2.findContours(inside.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from camera_sim.sim.meshes import Vertices
+from conveyor.crop_depth import closed
 
 PoseClass = Literal["flat", "tilted", "standing"]
 RimClass = Literal["exact", "good", "poor"]
@@ -61,8 +61,6 @@ def pose_of(rotation: Vertices) -> Pose:
 
 def rim_of(seen: NDArray[np.bool_], silhouette: NDArray[np.bool_]) -> Rim:
     """From where depth was kept (h, w) and the silhouette that a perfect camera sees; the latter must not be empty."""
-    outlines, _ = cv2.findContours(seen.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = cv2.drawContours(np.zeros(seen.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
-    inside = int(filled.sum())
+    inside = int(closed(seen.astype(np.uint8)).sum())
     lost = 1 - inside / int(silhouette.sum())
     return Rim(lost, 1 - int(seen.sum()) / inside if inside else 0.0)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.crop_depth import PART
+from conveyor.crop_depth import PART, closed
 from conveyor.geometry import height_coefficients
 from conveyor.kernels import kernel
 from conveyor.messages import View
@@ -90,8 +90,7 @@ def _body(measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
     where another is a `PART` of it: those are a tuber with something across it, and no scraps.
     """
     seen = np.pad(measured.astype(np.uint8), OPENING_PX)
-    outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED)
+    filled = closed(seen)
     holes = ((filled > 0) & ~(seen > 0)).astype(np.uint8)
     whole = seen
     if holes.any():

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, pixel_width_m, step_units
+from conveyor.crop_depth import clean_depth, closed, fill_holes, filled_rows, pixel_width_m, step_units
 from conveyor.messages import Frame
 from segmenter.frame.instances import Instances
 from segmenter.track.views import Candidate
@@ -70,15 +70,13 @@ def body_of(frame: Frame, candidate: Candidate, instances: Instances, index: int
     seen = (filled > 0).astype(np.uint8)
     if np.count_nonzero(seen) < LEAST_PIXELS:
         return None
-    outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    inside = np.asarray(cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED), np.uint8)
     return Body(
         travel_m=travel_m,
         belt_from_camera=candidate.belt_from_camera,
         camera=np.array([k.fx, k.fy, k.cx - candidate.u0 + PAD_PX, k.cy - candidate.v0 + PAD_PX]),
         depth_m=_smoothed(filled, seen, lambda image: cv2.blur(image, (FINE_PX, FINE_PX), borderType=BEYOND)),
         soft_m=_smoothed(filled, seen, lambda image: cv2.GaussianBlur(image, (0, 0), SOFT_PX, borderType=BEYOND)),
-        rim_px=np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_5), np.float32),
+        rim_px=np.asarray(cv2.distanceTransform(closed(seen), cv2.DIST_L2, cv2.DIST_MASK_5), np.float32),
         beside=_beside(candidate, instances, index),
     )
 

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.crop_depth import closed
+
 LEAST_LEFT = 0.25
 """Of a view's pixels: a tuber of which less would be left is too small to be cut, and stays as it is."""
 
@@ -19,9 +21,7 @@ def without_growth(depth: NDArray[np.uint16], grown_px: float) -> NDArray[np.uin
     if grown_px <= 0:
         return depth
     seen = np.pad((depth > 0).astype(np.uint8), 1)
-    outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = np.asarray(cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED), np.uint8)
     # The outermost pixels lie 1 px from what is outside, their outer edges half a pixel.
-    inner = cv2.distanceTransform(filled, cv2.DIST_L2, cv2.DIST_MASK_5)[1:-1, 1:-1] > grown_px + 0.5
+    inner = cv2.distanceTransform(closed(seen), cv2.DIST_L2, cv2.DIST_MASK_5)[1:-1, 1:-1] > grown_px + 0.5
     left = np.where(inner, depth, 0).astype(np.uint16)
     return left if np.count_nonzero(left) >= LEAST_LEFT * np.count_nonzero(depth) else depth

@@ -138,14 +138,8 @@ class OutlineWatch:
         for track, index in found:
             if looks == LOOKED_AT[late]:
                 break
-            last_m = self._seen_at_m.get(track.number)
-            if last_m is None and (
-                len(self._seen_at_m) >= FOLLOWED[late] or track.place_x_m + travel_m > self._first_until_m
-            ):
-                continue
-            if track.state is State.DISCARDED or (last_m is not None and travel_m - last_m < self._every_m):
-                continue
-            if not instances.cut[index].any() and instances.contact[index] <= MOST_CONTACT:
+            whole = not instances.cut[index].any() and instances.contact[index] <= MOST_CONTACT
+            if whole and self._due(track, travel_m, most=FOLLOWED[late]):
                 self._look(frame, instances, track, index, tracker.belt, travel_m)
                 looks += 1
         self._compare(PAIRS[late])
@@ -156,6 +150,15 @@ class OutlineWatch:
         for number in [n for n in self._seen_at_m if n not in numbers]:
             del self._seen_at_m[number]
             self._bodies.pop(number, None)
+
+    def _due(self, track: TrackState, travel_m: float, *, most: int) -> bool:
+        """A tuber that is followed has moved on, or one may be followed from here on; `most` are at a time."""
+        if track.state is State.DISCARDED:
+            return False
+        last_m = self._seen_at_m.get(track.number)
+        if last_m is not None:
+            return travel_m - last_m >= self._every_m
+        return len(self._seen_at_m) < most and track.place_x_m + travel_m <= self._first_until_m
 
     def _look(
         self, frame: Frame, instances: Instances, track: TrackState, index: int, belt: BeltGeometry, travel_m: float
@@ -184,8 +187,10 @@ class OutlineWatch:
                 news = True
         while len(self._said) > KEPT:
             del self._said[next(iter(self._said))]
+        if not news:
+            return
         tubers = [said for said in self._said.values() if sum(len(one.lost_px) for one in said) >= LEAST_DIRECTIONS]
-        if news and len(tubers) >= LEAST:
+        if len(tubers) >= LEAST:
             self.reading = _reading(tubers)
 
 
