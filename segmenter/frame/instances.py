@@ -175,10 +175,13 @@ def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> I
     stride = heights.stride
     rows, columns = heights.height_mm.shape
     half = stride // 2
-    coarse = mask[half : rows * stride : stride, half : columns * stride : stride].astype(np.int32)
-    names, flat = np.unique(coarse, return_inverse=True)
-    labels = flat.reshape(coarse.shape).astype(np.int32) + (0 if names[0] == 0 else 1)
-    n = int(labels.max(initial=0))
+    coarse = mask[half : rows * stride : stride, half : columns * stride : stride]
+    there = np.zeros(np.iinfo(np.uint16).max + 1, np.bool_)
+    there[coarse] = True
+    there[0] = False
+    numbers = np.where(there, np.cumsum(there, dtype=np.int32), np.int32(0))
+    labels = numbers[coarse]
+    n = int(np.count_nonzero(there))
     return _describe(labels, n, heights.height_mm, heights.seen, stride, belt, None)
 
 
