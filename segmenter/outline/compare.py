@@ -57,8 +57,13 @@ class Comparison:
     slip_m: float | None
 
 
-def compare(first: Body, second: Body) -> Comparison | None:
-    """The outline of `second` by the surface of `first`; None where nothing of it can be compared."""
+def compare(first: Body, second: Body, *, farther: float = 0.0) -> Comparison | None:
+    """The outline of `second` by the surface of `first`; None where nothing of it can be compared.
+
+    Args:
+        farther: by how much farther than travel says the camera is known to see tubers move, as a share. Surfaces are
+            laid on one another from there on: from where travel puts them, a fifth of what they slip by is missed.
+    """
     turn, shift_m = _second_from_first(first, second)
     camera_heights = np.append(first.belt_from_camera[2, :3], first.belt_from_camera[2, 3])
     reach_px, angles, depth_m = _reach(first.depth_m, first.rim_px, first.camera, camera_heights, turn, shift_m,
@@ -66,12 +71,14 @@ def compare(first: Body, second: Body) -> Comparison | None:
     if depth_m <= 0:
         return None
     lost_px = _beyond(reach_px, angles, second.rim_px, second.beside)
+    apart_m = first.travel_m - second.travel_m
+    start_m = np.ascontiguousarray(second.belt_from_camera[0, :3]) * (-farther * apart_m)
     moved_m = _laid_on(
-        first.soft_m, first.rim_px, first.camera, turn, shift_m, second.soft_m, second.rim_px, second.camera
+        first.soft_m, first.rim_px, first.camera, turn, shift_m, second.soft_m, second.rim_px, second.camera, start_m
     )
     return Comparison(
         lost_px=tuple(lost_px.tolist()),
-        apart_m=first.travel_m - second.travel_m,
+        apart_m=apart_m,
         px_per_m=float(second.camera[0]) / depth_m,
         slip_m=None if np.isnan(moved_m[0]) else float(second.belt_from_camera[0, :3] @ moved_m),
     )
@@ -192,12 +199,13 @@ def _laid_on(
     to_m: NDArray[np.float32],
     to_rim_px: NDArray[np.float32],
     to: NDArray[np.float64],
+    start_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(3,) metres in the second camera by which the first surface must move to lie on the second; NaN: not known.
 
-    Least squares over what both show, outliers weighed down, by Gauss and Newton.
+    Least squares over what both show, outliers weighed down, by Gauss and Newton, from `start_m` on.
     """
-    moved = np.zeros(3)
+    moved = start_m.copy()
     rows, columns = soft_m.shape
     for round_no in range(ROUNDS):
         normal, right, shared = np.zeros((3, 3)), np.zeros(3), 0

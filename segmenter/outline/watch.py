@@ -180,7 +180,7 @@ class OutlineWatch:
             if not self._waiting:
                 break
             number, first, second = self._waiting.popleft()
-            said = compare(first, second)
+            said = compare(first, second, farther=self.reading.farther if self.reading else 0.0)
             self._compared += 1
             if said is not None and (said.lost_px or number in self._said):
                 self._said.setdefault(number, []).append(said)
