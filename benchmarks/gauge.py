@@ -132,7 +132,7 @@ def loads(kind: GaugeKind, seeds: range, *, tubers: int = TUBERS) -> Iterator[Lo
         share = float(rng.uniform(0.5, 1.0)) * (1.0 if rng.random() < 0.5 else -1.0)
         by = Disturbed(drift_px=share * MOST_DRIFT_PX) if n % 2 == 0 else Disturbed(shift_m=share * MOST_SHIFT_M)
         world = gauge_world(kind, seed, preset="field", tubers=tubers)
-        right, wrong = (_frames(world, one) for one in (Disturbed(), by))
+        right, wrong = (all_frames(world, one) for one in (Disturbed(), by))
         keeper = GaugeKeeper(world.gauge)
         for frames, looks in ((right, REFERENCE_LOOKS), (wrong, LOOKS_AFTER)):
             for at in np.linspace(0, len(frames) - 1, looks).round().astype(int):
@@ -140,7 +140,7 @@ def loads(kind: GaugeKind, seeds: range, *, tubers: int = TUBERS) -> Iterator[Lo
         before = _weighed(world, right, None, weigher)
         without = _weighed(world, wrong, None, weigher)
         with_gauge = _weighed(world, wrong, keeper, weigher)
-        true_g, without_g, with_g = _matched(before, without, with_gauge).sum(axis=0)
+        true_g, without_g, with_g = matched(before, without, with_gauge).sum(axis=0)
         yield LoadRow(
             kind=kind,
             seed=seed,
@@ -152,7 +152,7 @@ def loads(kind: GaugeKind, seeds: range, *, tubers: int = TUBERS) -> Iterator[Lo
         )
 
 
-def _frames(world: GaugeWorld, by: Disturbed) -> list[Frame]:
+def all_frames(world: GaugeWorld, by: Disturbed) -> list[Frame]:
     """All frames of the world's camera."""
     return [item for item in world.source(by).frames(run="load") if isinstance(item, Frame)]
 
@@ -184,7 +184,7 @@ def _weighed(
     return np.array(found).reshape(-1, 3)
 
 
-def _matched(*runs: NDArray[np.float64]) -> NDArray[np.float64]:
+def matched(*runs: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, runs) weights of the tubers that all runs have; places and weights as `_weighed` gives them."""
     rows = []
     for tuber in runs[0]:

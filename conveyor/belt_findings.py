@@ -12,7 +12,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
             belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_coarse_m, encoder_behind_m,
-            load_torn_m, masks_merged, outline_grown_px, farther_than_travel, and those of its gauge.
+            load_torn_m, masks_merged, outline_grown_px, farther_than_travel, scaled_by_travel, travel_not_told, and
+            those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -90,14 +91,29 @@ def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "show them. Views are cut back by so much before they are weighed; those before this was known read heavy. "
             "A smaller matching window in the camera's settings keeps outlines where they are"
         )
-    if farther := gauges.get("farther_than_travel"):
-        found["farther_than_travel"] = (
-            f"camera '{camera}': it puts tubers {100 * abs(farther):.1f} % {'farther' if farther > 0 else 'nearer'} "
-            "than the belt's travel says. Either its depth has drifted, and weights are off by two to three times as "
-            "much, or the encoder's metres a pulse are off: weigh one bucket (`tuberline calibrate bucket`), and "
-            "measure the encoder over a few metres of belt"
+    if gauges.get("travel_not_told"):
+        found["travel_not_told"] = (
+            f"camera '{camera}': its gauge is the belt's travel, and no encoder tells that, so a depth scale that is "
+            'off goes unseen. Connect the encoder ([encoder] in the line\'s file), or set gauge = "none" in [belt]'
         )
+    if farther := gauges.get("farther_than_travel"):
+        seen = (
+            f"camera '{camera}': it puts tubers {100 * abs(farther):.1f} % {'farther' if farther > 0 else 'nearer'} "
+            "than the belt's travel says"
+        )
+        scaled = gauges.get("scaled_by_travel")
+        found["farther_than_travel"] = seen + (_SCALED if scaled else _DEPTH_OR_ENCODER)
     return found
+
+
+_SCALED = (
+    ", which is its gauge: tubers are weighed at the size that agrees with it. Calibrate the camera's depth when the "
+    "line stands next; if it is the encoder that is off, weights are wrong by three times as much"
+)
+_DEPTH_OR_ENCODER = (
+    ". Either its depth has drifted, and weights are off by two to three times as much, or the encoder's metres a "
+    "pulse are off: weigh one bucket (`tuberline calibrate bucket`), and measure the encoder over a few metres of belt"
+)
 
 
 def _factor(told_m: float, seen_m: float) -> str:

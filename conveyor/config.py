@@ -254,6 +254,16 @@ class LineConfig(Section):
                 raise ValueError(f"encoder.source and gnss.source are both {ports[0].path}: each needs its own port")
         return self
 
+    @model_validator(mode="after")
+    def _travel_is_told(self) -> Self:
+        devices = [name for name, camera in self.cameras.items() if camera.source != "recording"]
+        if self.belt.gauge == "travel" and self.encoder is None and devices:
+            raise ValueError(
+                f'belt.gauge is "travel", and nothing tells the travel of camera {devices[0]}: add [encoder], whose '
+                'metres_per_pulse must be right within 0.5 %, or set gauge = "none"'
+            )
+        return self
+
     @property
     def live(self) -> bool:
         """Some camera waits for no one."""

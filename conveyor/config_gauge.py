@@ -20,8 +20,10 @@ DESCRIBES = {"gauge_width_m": "belt-width", "gauge_size_mm": "bar", "gauge_place
 class GaugeSection(Section):
     """A gauge, if there is one."""
 
-    gauge: Literal["none", "rods", "belt-width", "bar"] = Field(
-        "none", description="a body of known size in view: tells a mount that moved from a depth scale that drifted"
+    gauge: Literal["none", "rods", "belt-width", "bar", "travel"] = Field(
+        "none",
+        description="a body of known size in view: tells a mount that moved from a depth scale that drifted; "
+        "travel: the belt's own way, by an encoder that is right within 0.5 %",
     )
     gauge_width_m: Metres | None = Field(None, description="belt-width: edge to edge, both edges in view")
     gauge_size_mm: tuple[Size, Size] | None = Field(
@@ -49,8 +51,8 @@ class GaugeSection(Section):
         return self
 
     def described_gauge(self, *, pitch_mm: float, rod_mm: float) -> Gauge | None:
-        """In metres; None where there is none. `pitch_mm`, `rod_mm`: of the web's rods."""
-        if self.gauge == "none":
+        """In metres; None where no body is in view. `pitch_mm`, `rod_mm`: of the web's rods."""
+        if self.gauge == "none" or self.gauge == "travel":
             return None
         along_mm, across_mm = self.gauge_size_mm or (0.0, 0.0)
         x_mm, y_mm, z_mm = self.gauge_place_mm or (0.0, 0.0, 0.0)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_flags import OUTLINE_GROWN, OUTLINE_LOST
 from conveyor.gauge import Gauge
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
@@ -21,6 +20,7 @@ from segmenter.frame.instances import Instances, SplitSettings, given
 from segmenter.frame.mask_watch import MaskWatch
 from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.frame.sides import with_own_centres
+from segmenter.outline.correction import CameraCorrection, correction_of
 from segmenter.outline.watch import OutlineWatch
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult
@@ -64,6 +64,8 @@ class Settings:
     the ledger for a second and more: a live line does not wait for it. Should it count after all, it comes late."""
     mark_margin_m: float = MARK_MARGIN_M
     gauge: Gauge | None = None
+    scale_by_travel: bool = False
+    """The encoder is known to be right: what distances contradict it by is taken off them."""
 
 
 class BeltSegmenter:
@@ -228,12 +230,16 @@ class BeltSegmenter:
                     if candidate.whole and len(track.rims) < RIMS_KEPT:
                         track.rims.append(rim_of(instances, index, heights))
 
+    @property
+    def correction(self) -> CameraCorrection:
+        """What is taken off the views that are sent now."""
+        by_travel = self._settings.scale_by_travel and self.follower.told
+        return correction_of(self.outlines.reading, focal_px=self.belt.intrinsics.fx, by_travel=by_travel)
+
     def _moment(self, frame: Frame) -> Moment:
-        reading = self.outlines.reading
-        grown_px, lost_mm = (reading.grown_px, reading.lost_beyond_mm) if reading else (0.0, 0.0)
-        outline = (OUTLINE_GROWN,) if grown_px else (OUTLINE_LOST,) if lost_mm else ()
-        flags = (*self.flags, *outline)
-        return Moment(frame, self.tracker, self.follower, self.noise.noise_px, flags, grown_px, lost_mm)
+        correction = self.correction
+        flags = (*self.flags, *correction.flags)
+        return Moment(frame, self.tracker, self.follower, self.noise.noise_px, flags, correction)
 
     def _decide(self, frame: Frame) -> list[ClosedTrack]:
         closed = self.decider.decide(self._moment(frame), everything=False)

@@ -27,6 +27,8 @@ from segmenter.waiting import WaitingSegmenter
 
 GAUGE_FOLLOW_M = 0.012
 """A belt is followed so far where a gauge says that the mount moved; beyond `DRIFT_M` the alarm is raised as well."""
+TOLD_WITHIN = 30
+"""Frames in which an encoder that is started again, or had no count yet, tells travel."""
 
 __all__ = ["ClosedTrack", "Segmenter", "Settings", "StepResult"]
 
@@ -48,6 +50,8 @@ class Segmenter:
             in_use=resume is not None,
         )
         self._perception = Perception(settings.perception, settings.split)
+        self._by_travel = settings.scale_by_travel
+        self._not_told = 0
         self._waiting = WaitingSegmenter(settings, self._perception, resume)
         self._running: BeltSegmenter | None = None
 
@@ -63,6 +67,8 @@ class Segmenter:
         seen = self.gauge.corrected(frame)
         if self.gauge.moved:
             self._belts.may_follow(GAUGE_FOLLOW_M)
+        if self._running is not None:
+            self._belts.camera = self._running.correction
         belt = self.gauge.belt_of(self._belts.belt_of(seen))
         if belt is None:
             return self._dropped(FrameDrop.NO_BELT)
@@ -73,6 +79,7 @@ class Segmenter:
         self._running.flags = (*self.gauge.flags(), *off)
         result = self._running.step(seen, belt)
         self._gate.processed(frame, instances=result.instances)
+        self._not_told = 0 if self.told else self._not_told + 1
         return result
 
     def finish(self) -> list[ClosedTrack]:
@@ -130,11 +137,16 @@ class Segmenter:
     def gauges(self) -> dict[str, float]:
         """Levels of what encoder, load and given masks say, as `conveyor.belt_findings` takes them."""
         return {
+            **(self._travel_gauge(self._running) if self._by_travel and self._running else {}),
             **(self.outlines.gauges() if self.outlines else {}),
             "encoder_behind_m": self.encoder_behind_m,
             "load_torn_m": self.torn_m,
             "masks_merged": self.merged_masks,
         }
+
+    def _travel_gauge(self, running: BeltSegmenter) -> dict[str, float]:
+        missing = self._not_told >= TOLD_WITHIN
+        return {"scaled_by_travel": running.correction.farther, "travel_not_told": float(missing)}
 
     @property
     def belt(self) -> BeltGeometry | None:

@@ -40,6 +40,7 @@ def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
         hold_for_doubtful=not live,
         mark_margin_m=LIVE_MARK_MARGIN_M if live else MARK_MARGIN_M,
         gauge=config.belt.known_gauge,
+        scale_by_travel=config.belt.gauge == "travel",
     )
 
 

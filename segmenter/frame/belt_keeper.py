@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from statistics import median
 
 import numpy as np
@@ -24,6 +25,10 @@ from segmenter.frame.constants import (
 )
 from segmenter.frame.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
 from segmenter.gauge.web import check_web
+from segmenter.outline.correction import NOTHING_OFF
+
+LEAST_EXPLAINED_M = 0.002
+"""A belt that is seen no farther off is where it was measured, by whatever depth."""
 
 
 class BeltKeeper:
@@ -45,7 +50,9 @@ class BeltKeeper:
 
     Attributes:
         belt: the belt in use, None before the first.
-        check: what the newest check said, against the belt as given.
+        check: what the newest check said, against the belt as given and as the camera should see it.
+        camera: how far its distances are off, where that is known. A belt that was measured otherwise is seen where
+            this puts it; one measured by the same depth, where it is given.
         hidden: what is seen in place of the belt, in words; empty while the belt is seen.
     """
 
@@ -60,6 +67,8 @@ class BeltKeeper:
         self.belt: BeltGeometry | None = None
         self.check = BeltCheck(None, None)
         self.hidden = ""
+        self.camera = NOTHING_OFF
+        self._followed_by_per_m = 0.0
         self._in_use = in_use
         self._hidden_looks = 0
         self._contradicted = 0
@@ -83,6 +92,8 @@ class BeltKeeper:
         """
         if self.belt is None or self.hidden or self._due():
             self._look(frame)
+        elif self.camera.drift_per_m != self._followed_by_per_m:
+            self._follow()
         if self.belt is None or self.hidden:
             return None
         self._frames += 1
@@ -135,9 +146,12 @@ class BeltKeeper:
         if self.hidden:
             return
         self._seen.append(self.check.drift_m is not None)
-        if self._follow_m > 0 and not self._fitted and self.check.drift_m is not None:
-            self._drifts_m.append(self.check.drift_m)
-            self.belt = BeltGeometry(frame.intrinsics, self._followed(self._pose))
+        if self._fitted or self.check.drift_m is None:
+            return
+        self._drifts_m.append(self.check.drift_m)
+        if explained_m := self._explained_m(self.check.drift_m, self._pose):
+            self.check = replace(self.check, drift_m=self.check.drift_m - explained_m)
+        self._follow()
 
     def _mean_with(self, fit: PlaneFit, camera: str) -> NDArray[np.float64]:
         self._fits.append(fit)
@@ -183,13 +197,28 @@ class BeltKeeper:
         check = check_belt(pose, fit, given_share=share, camera=frame.camera, depth_scale_m=frame.depth_scale_m)
         return check, share
 
+    def _follow(self) -> None:
+        """Put a given belt where the last looks see it."""
+        if self.belt is not None and self._pose is not None and self._drifts_m:
+            self._followed_by_per_m = self.camera.drift_per_m
+            self.belt = BeltGeometry(self.belt.intrinsics, self._followed(self._pose))
+
     def _followed(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """(4, 4) the given pose with its height over the belt as seen; drifts are along the optical axis."""
         drift_m = median(self._drifts_m)
         scatter_m = float(np.mean(np.abs(np.array(self._drifts_m) - drift_m)))
         often = 2 * sum(self._seen) >= len(self._seen)
-        if abs(drift_m) > self._follow_m or scatter_m > AGREE_M or not often:
-            return pose
+        explained_m = self._explained_m(drift_m, pose)
+        left_m = drift_m - explained_m
+        sure = abs(left_m) <= self._follow_m and scatter_m <= AGREE_M and often
         moved = pose.copy()
-        moved[2, 3] -= pose[2, 2] * drift_m * self._trust
+        moved[2, 3] -= pose[2, 2] * (explained_m + (left_m * self._trust if sure else 0.0))
         return moved
+
+    def _explained_m(self, drift_m: float, pose: NDArray[np.float64]) -> float:
+        """What of a drift is the camera's depth, along the optical axis; 0 where the belt was measured by it, too, and
+        where it is so little that it makes no difference.
+        """
+        given_m = belt_distance_m(pose)
+        off_m = self.camera.seen_m(given_m) - given_m
+        return off_m if abs(drift_m) > LEAST_EXPLAINED_M and abs(drift_m - off_m) < abs(drift_m) else 0.0

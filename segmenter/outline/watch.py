@@ -60,6 +60,8 @@ class OutlineReading:
         as_seen_px: the same, were travel and distances to agree. mm_per_px: of a pixel at the tubers.
         farther: by how much farther away the camera puts tubers than the belt's travel says, as a share of their
             distance: its depth unit or the encoder is off by so much. 0.01 is 1 %. farther_sd: how well that is known.
+        slip, slip_sd: the same as the surfaces alone say it; `farther` is nearer to 0, for both are well known as a
+            rule.
         tubers: how many say so.
     """
 
@@ -70,6 +72,8 @@ class OutlineReading:
     farther: float
     farther_sd: float
     tubers: int
+    slip: float = 0.0
+    slip_sd: float = 0.0
 
     @property
     def grown_px(self) -> float:
@@ -199,15 +203,15 @@ def _reading(tubers: list[list[Comparison]]) -> OutlineReading:
     tubers together, is taken off first, and how well that is known is part of how well outlines are.
     """
     slips = [[one for one in said if one.slip_m is not None] for said in tubers]
-    farther, farther_sd = _middle(
+    slip, slip_sd = _middle(
         [
             -sum((one.slip_m or 0.0) * one.apart_m for one in said) / sum(one.apart_m**2 for one in said)
             for said in slips
             if said
         ]
     )
-    trust = TRAVEL_SD**2 / (TRAVEL_SD**2 + farther_sd**2)
-    farther, farther_sd = trust * farther, float(np.sqrt(trust)) * farther_sd
+    trust = TRAVEL_SD**2 / (TRAVEL_SD**2 + slip_sd**2)
+    farther, farther_sd = trust * slip, float(np.sqrt(trust)) * slip_sd
     stretch_px = median(_stretch_px(one) for said in tubers for one in said if one.lost_px)
     lost_px, lost_sd_px = _middle([_lost_px(said, farther) for said in tubers])
     as_seen_px, _ = _middle([_lost_px(said, 0.0) for said in tubers])
@@ -219,6 +223,8 @@ def _reading(tubers: list[list[Comparison]]) -> OutlineReading:
         farther=farther,
         farther_sd=farther_sd,
         tubers=len(tubers),
+        slip=slip,
+        slip_sd=slip_sd,
     )
 
 

@@ -13,7 +13,7 @@ from conveyor.messages.views import LATER_PARTS
 from conveyor.reasons import TrackRefusal
 from conveyor.resting import RestingLevel
 from segmenter.classify.patch import Patch
-from segmenter.outline.growth import without_growth
+from segmenter.outline.correction import NOTHING_OFF, CameraCorrection
 from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
@@ -41,16 +41,14 @@ MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 @dataclass(frozen=True, slots=True)
 class Moment:
     """The frame at which tracks are decided, and where everything is. `noise_px`: of the camera's depth, if known;
-    `flags`: what is wrong with the camera; `grown_px`: by how much it lets outlines grow;
-    `lost_mm`: what it takes off them beyond what weights know."""
+    `flags`: what is wrong with the camera; `correction`: what of it is corrected."""
 
     frame: Frame
     tracker: Tracker
     follower: BeltFollower
     noise_px: float | None = None
     flags: tuple[str, ...] = ()
-    grown_px: float = 0.0
-    lost_mm: float = 0.0
+    correction: CameraCorrection = NOTHING_OFF
 
 
 class TrackDecider:
@@ -238,6 +236,8 @@ def _message(
     high it lies on others.
     """
     usual = [hit for hit in track.hits if hit.whole] or track.hits
+    true = now.correction.true_per_seen
+    under_m3 = under_m * track.area_m2 * true**2
     return Track(
         track_id=track_id,
         crossed_ns=at.captured_ns,
@@ -248,10 +248,10 @@ def _message(
         frames=track.frames,
         first_seq=track.first_seq,
         last_seq=track.last_seq,
-        length_mm=length_m * 1e3,
-        width_mm=width_m * 1e3,
-        height_mm=max(0.0, median(hit.height_m for hit in usual) + under_m) * 1e3,
-        visible_volume_ml=max(0.0, median(hit.volume_m3 for hit in usual) + under_m * track.area_m2) * 1e6,
+        length_mm=length_m * true * 1e3,
+        width_mm=width_m * true * 1e3,
+        height_mm=max(0.0, median(hit.height_m for hit in usual) * true**2 + under_m) * 1e3,
+        visible_volume_ml=max(0.0, median(hit.volume_m3 for hit in usual) * true**4 + under_m3) * 1e6,
         whole=any(hit.whole for hit in track.hits),
         views_sent=0,
         views=(),
@@ -264,7 +264,7 @@ def _message(
 def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m: float) -> View:
     """A candidate as the message that goes to a regressor."""
     frame = now.frame
-    return View(
+    view = View(
         view_id=f"{track_id}/{candidate.seq}",
         track_id=track_id,
         camera=frame.camera,
@@ -276,10 +276,10 @@ def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m
         intrinsics=frame.intrinsics,
         u0=candidate.u0,
         v0=candidate.v0,
-        depth=without_growth(candidate.depth, now.grown_px),
+        depth=candidate.depth,
         belt_from_camera=candidate.belt_from_camera,
         belt_sd_m=belt_sd_m,
         camera_noise_px=now.noise_px,
-        outline_lost_mm=now.lost_mm,
         takes=LATER_PARTS,
     )
+    return now.correction.corrected(view)

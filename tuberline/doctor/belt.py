@@ -24,8 +24,9 @@ OTHER_WAY = {
 SEEN_TWICE = {
     "outline_grown_px": "a smaller matching window in the camera's settings",
     "farther_than_travel": "`tuberline calibrate bucket`, and the encoder over a few metres of belt",
+    "travel_not_told": 'connect the encoder ([encoder]), or gauge = "none" in [belt]',
 }
-"""Levels of what the same tubers in several frames say of a camera, and what to do."""
+"""Levels of what the same tubers in several frames say of a camera, or cannot say, and what to do."""
 UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'
 WRONG_SCALE = 3.0
 """Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
