@@ -67,6 +67,8 @@ def test_a_running_segmenter_is_believed() -> None:
         ("belt_turned", {"belt_turned_deg": 11.0}, "the load moves +11.0 degrees aside"),
         ("encoder_off", {"encoder_told_m": 1.0, "encoder_seen_m": 2.0}, "the load moved 2.00 m while the encoder told"),
         ("load_torn_m", {}, "the load jumped back 1.00 m"),
+        ("encoder_coarse_m", {"encoder_coarse_m": 0.05}, "travel is told in steps of 50 mm"),
+        ("masks_merged", {}, "a label of the given masks lies in several places apart"),
     ],
 )
 def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, float], said: str) -> None:

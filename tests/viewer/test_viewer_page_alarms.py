@@ -98,63 +98,6 @@ def test_a_camera_that_is_not_the_one_that_was_calibrated() -> None:
     assert "enter the ticket of a load since" in alarm.fix
 
 
-@pytest.mark.parametrize(
-    ("gauges", "said"),
-    [
-        ({"belt_backwards": 1.0}, "Under camera left the belt runs the other way than its pose or the encoder says"),
-        ({"belt_turned": 1.0, "belt_turned_deg": -11.8}, "the load moves 12° aside of the way its pose says"),
-        (
-            {"encoder_off": 1.0, "encoder_told_m": 1.14, "encoder_seen_m": 2.27},
-            "the load moved 2.27 m while the encoder told 1.14 m",
-        ),
-        ({"load_torn_m": 0.37}, "Under camera left the load jumped back 0.37 m, as no belt does"),
-    ],
-)
-def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, float], said: str) -> None:
-    """Only the segmenter's log said so."""
-    (text,) = texts(with_node(good_state(), "segmenter/left", segmenter("left", gauges=gauges)), "trouble")
-    assert said in text
-
-
-def test_an_encoder_that_is_not_heard_or_not_believed() -> None:
-    state = with_node(good_state(), "camera/left", node("camera/left", gauges={"encoder_silent_s": 12.0}))
-    (text,) = texts(state, "warning")
-    assert "Camera left has heard nothing from the encoder for 12 s" in text
-    behind = with_node(good_state(), "segmenter/left", segmenter("left", gauges={"encoder_behind_m": 1.04}))
-    (text,) = texts(behind, "warning")
-    assert "Under camera left the encoder came back 1.04 m behind where the load had gone" in text
-    brief = with_node(good_state(), "camera/left", node("camera/left", gauges={"encoder_silent_s": 1.0}))
-    assert not texts(brief, "warning")
-
-
-@pytest.mark.parametrize(("drift_mm", "said"), [(14.2, "14 mm further than"), (-7.0, "7 mm nearer than")])
-def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
-    moved = segmenter("left", gauges={"belt_drift_mm": drift_mm, "belt_alarm": 1.0})
-    assert said in texts(with_node(good_state(), "segmenter/left", moved), "trouble")[0]
-
-
-@pytest.mark.parametrize(
-    ("levels", "level", "said"),
-    [
-        ({"gauge_cause": 1.0, "gauge_shift_mm": -3.1}, "warning", ["The mount of camera left moved by 3.1 mm."]),
-        (
-            {"gauge_cause": 2.0, "gauge_drift_px": 0.2},
-            "warning",
-            ["The depth scale of camera left drifted by +0.20 px; it is corrected."],
-        ),
-        (
-            {"gauge_cause": 2.0, "gauge_drift_px": -0.7, "gauge_beyond": 1.0},
-            "trouble",
-            ["The depth scale of camera left drifted by -0.70 px; too much to correct: weights are wrong."],
-        ),
-        ({"gauge_cause": 0.0, "gauge_shift_mm": 0.4, "gauge_unseen": 0.0}, "warning", []),
-        ({"gauge_unseen": 1.0}, "warning", ["Camera left does not see its gauge."]),
-    ],
-)
-def test_a_gauge_names_what_moved(levels: dict[str, float], level: str, said: list[str]) -> None:
-    assert texts(with_node(good_state(), "segmenter/left", segmenter("left", gauges=levels)), level) == said
-
-
 @pytest.mark.parametrize("reason", sorted(FRAME_DROPS))
 def test_every_reason_to_drop_a_frame_has_words(reason: str) -> None:
     state = with_node(good_state(), "segmenter/right", segmenter("right", growing_s={f"frames_dropped_{reason}": 5.0}))

@@ -17,10 +17,12 @@ OTHER_WAY = {
     "belt_backwards": "turned_deg = 180 in the camera's section, or turn the camera; an encoder must count upwards",
     "belt_turned": "turn the camera, or `tuberline calibrate cameras RECORDING` and its turned_deg",
     "encoder_off": "look at the encoder's cable and its metres a pulse",
+    "encoder_coarse_m": "an encoder with more pulses a metre, or `travel_m` of each frame to a millimetre",
     "encoder_behind_m": "begin a new run, and look at the encoder's power and cable",
     "load_torn_m": "look at the camera's pictures (`tuberline watch`), or connect an encoder",
+    "masks_merged": "a label of its own for each tuber, or ignore_masks in the line's file",
 }
-"""Levels of a load that moves otherwise than pose or encoder say, and what to do."""
+"""Levels of a load that moves otherwise than pose or encoder say, or counts as its masks say, and what to do."""
 SEEN_TWICE = {
     "outline_grown_px": "a smaller matching window in the camera's settings",
     "farther_than_travel": "`tuberline calibrate bucket`, and the encoder over a few metres of belt",

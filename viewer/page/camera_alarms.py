@@ -14,6 +14,8 @@ SILENT_S = 5.0
 """A camera that waits for its segmenter may rest for so long."""
 DEAD_S = 1.8
 """A camera that waits for no one and sends nothing for so long; the slowest ones send several frames a second."""
+COUNTS_TWICE_M = 0.04
+"""Steps of travel from which on tubers count twice."""
 BRIEF_S = 2.0
 """Drops that last no longer than this are a hiccup: they stand in the table, not among the alarms."""
 
@@ -33,6 +35,7 @@ def camera_alarms(camera: str, state: LineState) -> Iterator[Found]:
         yield from _belt(segmenter)
         yield from _belt_way(segmenter)
         yield from _gauge(segmenter)
+        yield from _tubers(segmenter)
         waits = info is not None and info.waits
         yield from _encoder(source, segmenter)
         yield from _frames(source, segmenter, waits=waits, frame_s=_frame_s(camera, state))
@@ -69,6 +72,20 @@ def _belt_way(segmenter: NodeState) -> Iterator[Found]:
         yield "encoder", True, "alarm.camera.encoder", "todo.camera.encoder", {"told": told, "seen": seen}
     if torn_m := segmenter.level("load_torn_m"):
         yield "torn", True, "alarm.camera.torn", "todo.camera.torn", {"m": torn_m}
+    if coarse_m := segmenter.level("encoder_coarse_m"):
+        say, todo = "alarm.camera.encoder_coarse", "todo.camera.encoder_coarse"
+        yield "encoder-coarse", coarse_m >= COUNTS_TWICE_M, say, todo, {"mm": 1000 * coarse_m}
+
+
+def _tubers(segmenter: NodeState) -> Iterator[Found]:
+    """What its tubers say of the camera: masks that merge them, outlines and distances that are off."""
+    if segmenter.level("masks_merged"):
+        yield "masks-merged", True, "alarm.camera.masks_merged", "todo.camera.masks_merged", {}
+    if grown_px := segmenter.level("outline_grown_px"):
+        yield "outline", False, "alarm.camera.outline_grown", "todo.camera.outline_grown", {"px": grown_px}
+    if farther := segmenter.level("farther_than_travel"):
+        say = "alarm.camera.farther" if farther > 0 else "alarm.camera.nearer"
+        yield "farther", False, say, "todo.camera.farther", {"percent": 100 * abs(farther)}
 
 
 def _encoder(source: NodeState | None, segmenter: NodeState) -> Iterator[Found]:
