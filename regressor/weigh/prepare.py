@@ -89,31 +89,54 @@ class PreparedCloud:
         return min(max(self.height_m, 0.0), highest_m)
 
 
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """How a crop was seen: `prepare_depth`'s arguments about its camera and belt."""
+
+    depth_scale_m: float
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    belt_from_camera: NDArray[np.float64]
+    resting_offset_m: float
+
+    @property
+    def pixel_m(self) -> float:
+        """How wide a pixel is at the belt."""
+        return pixel_width_m(self.belt_from_camera, self.fx)
+
+    def filled(self, depth: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.bool_] | None]:
+        """`depth` with the rows that its camera left out, and which those are."""
+        return filled_rows(np.ascontiguousarray(depth), step_units(self.depth_scale_m, self.pixel_m))
+
+    def clean(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """`depth` without strays."""
+        return clean_depth(depth, self.depth_scale_m, self.pixel_m)
+
+    def divided(self, down: int, across: int) -> _Look:
+        """Of an image with each pixel divided so."""
+        cx, cy = across * self.cx + (across - 1) / 2, down * self.cy + (down - 1) / 2
+        return replace(self, fx=across * self.fx, fy=down * self.fy, cx=cx, cy=cy)
+
+
 def prepare_view(view: View) -> PreparedCloud:
     """The view's cloud, over its own resting level; an outline that its camera let grow is cut back (`grown`).
 
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    pixel_m = pixel_width_m(view.belt_from_camera, view.intrinsics.fx)
-    depth, missing = filled_rows(np.ascontiguousarray(view.depth), step_units(view.depth_scale_m, pixel_m))
-    kept = clean_depth(depth, view.depth_scale_m, pixel_m)
-    cut = cut_back(depth, kept, view_heights_m(kept, view))
-    if cut is not None:
-        depth, kept = cut, clean_depth(cut, view.depth_scale_m, pixel_m)
-    cloud = _prepare_kept(
-        kept,
-        depth,
-        missing,
-        depth_scale_m=view.depth_scale_m,
-        fx=view.intrinsics.fx,
-        fy=view.intrinsics.fy,
-        cx=view.intrinsics.cx - view.u0,
-        cy=view.intrinsics.cy - view.v0,
-        belt_from_camera=view.belt_from_camera,
-        resting_offset_m=view.resting_offset_m,
+    k = view.intrinsics
+    look = _Look(
+        view.depth_scale_m, k.fx, k.fy, k.cx - view.u0, k.cy - view.v0, view.belt_from_camera, view.resting_offset_m
     )
-    return cloud if cut is None else replace(cloud, flags=(*cloud.flags, OUTLINE_GROWN))
+    depth, missing = look.filled(view.depth)
+    kept = look.clean(depth)
+    cut = cut_back(depth, kept, view_heights_m(kept, view))
+    if cut is None:
+        return _prepare_kept(kept, depth, missing, look)
+    cloud = _prepare_kept(look.clean(cut), cut, missing, look)
+    return replace(cloud, flags=(*cloud.flags, OUTLINE_GROWN))
 
 
 def prepare_depth(
@@ -138,56 +161,33 @@ def prepare_depth(
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    pixel_m = pixel_width_m(belt_from_camera, fx)
-    depth, missing = filled_rows(np.ascontiguousarray(depth), step_units(depth_scale_m, pixel_m))
-    return _prepare_kept(
-        clean_depth(depth, depth_scale_m, pixel_m),
-        depth,
-        missing,
-        depth_scale_m=depth_scale_m,
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        belt_from_camera=belt_from_camera,
-        resting_offset_m=resting_offset_m,
-    )
+    look = _Look(depth_scale_m, fx, fy, cx, cy, belt_from_camera, resting_offset_m)
+    depth, missing = look.filled(depth)
+    return _prepare_kept(look.clean(depth), depth, missing, look)
 
 
 def _prepare_kept(
-    kept: NDArray[np.uint16],
-    depth: NDArray[np.uint16],
-    missing: NDArray[np.bool_] | None,
-    *,
-    depth_scale_m: float,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    belt_from_camera: NDArray[np.float64],
-    resting_offset_m: float,
+    kept: NDArray[np.uint16], depth: NDArray[np.uint16], missing: NDArray[np.bool_] | None, look: _Look
 ) -> PreparedCloud:
     """As `prepare_depth`. `kept`: the pixels of `depth` that are clean; `missing`: those of rows that were filled."""
     measured = kept if missing is None else np.where(missing, 0, kept)
     seen = int(np.count_nonzero(measured))
     if seen < MIN_POINTS:
         raise RefusedCloud("empty_cloud" if not depth.any() else "too_few_points")
-    noise_px = crop_noise_px(
-        depth if missing is None else np.where(missing, 0, depth), depth_scale_m=depth_scale_m, fx=fx
-    )
-    down, across = times_finer(pixel_width_m(belt_from_camera, fx), kept.size, longer=fx / fy)
-    filled = kept * np.float64(depth_scale_m)
+    told = depth if missing is None else np.where(missing, 0, depth)
+    noise_px = crop_noise_px(told, depth_scale_m=look.depth_scale_m, fx=look.fx)
+    down, across = times_finer(look.pixel_m, kept.size, longer=look.fx / look.fy)
+    filled = kept * np.float64(look.depth_scale_m)
     if down * across > 1:
-        filled = finer(filled, (down, across))
-        fx, fy, cx, cy = across * fx, down * fy, across * cx + (across - 1) / 2, down * cy + (down - 1) / 2
+        filled, look = finer(filled, (down, across)), look.divided(down, across)
     there = filled > 0
     holes = fill_holes(filled)
-    inside, points, in_camera = _points(filled, there, fx, fy, cx, cy)
-    level, distance_m = _level(in_camera, belt_from_camera)
-    _stands_above(level, distance_m, resting_offset_m)
-    area = _areas(in_camera, level, fx * fy)
-    surface = surface_features(level, area, inside, distance_m=distance_m + resting_offset_m, holes=holes)
-    cloud = _finish(level, points, distance_m, resting_offset_m, surface, seen=seen)
+    inside, points, in_camera = _points(filled, there, look.fx, look.fy, look.cx, look.cy)
+    level, distance_m = _level(in_camera, look.belt_from_camera)
+    _stands_above(level, distance_m, look.resting_offset_m)
+    area = _areas(in_camera, level, look.fx * look.fy)
+    surface = surface_features(level, area, inside, distance_m=distance_m + look.resting_offset_m, holes=holes)
+    cloud = _finish(level, points, distance_m, look.resting_offset_m, surface, seen=seen)
     seen_so = {MISSING: missing is not None, PARTS: in_parts(inside)}
     flags = (*cloud.flags, *(flag for flag, so in seen_so.items() if so))
     return replace(cloud, noise_px=noise_px, flags=flags)
