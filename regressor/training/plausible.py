@@ -10,12 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from conveyor.errors import InputError
-from regressor.weigh.files import distance_fault
+from regressor.weigh.place import OFF_THE_BELT, distance_fault
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 
 GRAMS_PER_ML = (0.05, 20.0)
 """No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
-OFF_THE_BELT = "off_the_belt"
 OFF = (OFF_THE_BELT, "below_belt", "empty_cloud")
 """Reasons of refusals that a wrong distance or unit gives."""
 MOST_OFF = 0.5
@@ -47,7 +46,7 @@ def check_place(name: str, cloud: PreparedCloud) -> None:
     Raises:
         OffTheBelt: its cloud is far from its belt. `name`: of its tuber.
     """
-    if distance_fault(name, cloud):
+    if distance_fault(cloud):
         raise OffTheBelt(name, cloud)
 
 

@@ -14,7 +14,8 @@ from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrins
 from conveyor.formats.potatotwin.layout import pair_of
 from conveyor.formats.potatotwin.pairs import farthest_m, read_pair
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
-from regressor.weigh.prepare import PreparedCloud, RefusedCloud, distances_told, prepare_cloud, prepare_depth
+from regressor.weigh.place import distance_fault
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weighed, Weigher
 
 
@@ -128,9 +129,9 @@ def weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResult
         return FileResult(path, 0, None, None, error=f"{path}: {refusal}")
     except InputError as error:
         return FileResult(path, 0, None, None, error=str(error))
-    fault = distance_fault(path, cloud)
+    fault = distance_fault(cloud)
     if fault:
-        return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), None, error=fault)
+        return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), None, error=f"{path}: {fault}")
     weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m, resting_sd_m=options.resting_sd_m)
     return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), weighed)
 
@@ -160,14 +161,3 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
         resting_offset_m=options.resting_offset_m,
     )
     return replace(cloud, flags=(*cloud.flags, CUT)) if masked.cut else cloud
-
-
-def distance_fault(where: Path | str, cloud: PreparedCloud) -> str:
-    """What is wrong with a cloud that floats high above the belt or lies wholly below it, as after reading it with a
-    wrong scale or distance; empty where nothing is.
-    """
-    lowest_m = cloud.height_m - float(cloud.points[:, 2].max() - cloud.points[:, 2].min())
-    nearest_m = cloud.belt_distance_m + cloud.resting_offset_m - cloud.height_m
-    if cloud.height_m > 0.003 and lowest_m < 0.12:
-        return ""
-    return f"{where}: {distances_told(nearest_m, cloud.belt_distance_m, cloud.resting_offset_m)}"

@@ -18,7 +18,8 @@ from conveyor.formats.plain.pinhole import read_pinhole
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics
 from conveyor.geometry import Intrinsics, at_border, box_around, straight_down_belt_from_camera
 from conveyor.islands import labels_apart
-from regressor.weigh.files import FileOptions, FileResult, distance_fault
+from regressor.weigh.files import FileOptions, FileResult
+from regressor.weigh.place import distance_fault
 from regressor.weigh.prepare import RefusedCloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 
@@ -96,9 +97,9 @@ def _weigh(
     except RefusedCloud as refusal:
         return FileResult(frame, 0, None, None, error=f"{where}: {refusal}", object=label)
     height_mm = round(cloud.height_m * 1e3, 2)
-    fault = distance_fault(where, cloud)
+    fault = distance_fault(cloud)
     if fault:
-        return FileResult(frame, len(cloud.points), height_mm, None, error=fault, object=label)
+        return FileResult(frame, len(cloud.points), height_mm, None, error=f"{where}: {fault}", object=label)
     weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m, resting_sd_m=options.resting_sd_m)
     if at_border(box, k):
         weighed = replace(weighed, flags=(*weighed.flags, CUT))

@@ -24,6 +24,7 @@ from regressor.weigh.finer import finer, times_finer
 from regressor.weigh.grown import cut_back, view_heights_m
 from regressor.weigh.outline import angle_image
 from regressor.weigh.pixel_grid import gridded
+from regressor.weigh.place import HIGHEST_RIM_M, LOWEST_TOP_M, OFF_THE_BELT, distances_told
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
 
 MAX_HEIGHT_M = 0.08
@@ -47,6 +48,8 @@ REASONS = {
     "too_few_points": f"it has fewer than {MIN_POINTS} points after cleaning",
     "not_finite": f"it has points that are not finite, or {FARTHEST_M:g} m away or more",
     "below_belt": f"no point of it lies {1e3 * LEAST_HEIGHT_M:g} mm or more above the level that it rests on",
+    OFF_THE_BELT: f"it rises {1e3 * LOWEST_TOP_M:g} mm or less above its belt, or floats {1e2 * HIGHEST_RIM_M:g} cm or "
+    "more over it",
     "out_of_range": "its weight is none that a tuber can have",
     "not_a_cloud": "it is not an array of shape (N, 3)",
 }
@@ -264,15 +267,6 @@ def _stands_above(level: NDArray[np.float64], distance_m: float, resting_offset_
     nearest_m = float(level[:, 2].min())
     if not distance_m + resting_offset_m - nearest_m >= LEAST_HEIGHT_M:
         raise RefusedCloud("below_belt", distances_told(nearest_m, distance_m, resting_offset_m))
-
-
-def distances_told(nearest_m: float, belt_distance_m: float, resting_offset_m: float) -> str:
-    """For people: how near a cloud comes to the camera, where its belt is, and what to check."""
-    offset = f" (resting offset {1e3 * resting_offset_m:g} mm)" if resting_offset_m else ""
-    return (
-        f"its nearest point is {nearest_m:.3f} m from the camera and the belt {belt_distance_m:.3f} m{offset}: check "
-        "--belt-distance-m and the depth scale (--depth-scale-m: 0.001 for 1 mm units, 0.0001 for the D405's own)"
-    )
 
 
 def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ from regressor.network.fast import EXACT, FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
 from regressor.network.sidecar import Sidecar
 from regressor.network.stored import State, load_weights
+from regressor.weigh.place import OFF_THE_BELT, distance_fault
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
 from regressor.weigh.sizes import load_rules, size_features
 from regressor.weigh.view_features import view_features
@@ -159,16 +160,14 @@ class Weigher:
         """The weight with its interval, sizes and flags, from the network's answer."""
         features = features_of(cloud, level_sd_m)
         by_volume_g = float(self._volume.weights_g(features)[0])
-        if network_g is None:
-            return self._by_volume(cloud, by_volume_g, cloud.flags, level_sd_m=level_sd_m)
-        if not np.isfinite(network_g) or network_g <= 0:
-            return self._by_volume(cloud, by_volume_g, (*cloud.flags, "network_failed"), level_sd_m=level_sd_m)
+        if network_g is None or not np.isfinite(network_g) or network_g <= 0:
+            failed = () if network_g is None else ("network_failed",)
+            return self._by_volume(cloud, by_volume_g, failed, level_sd_m=level_sd_m)
         parts = np.array([network_g]), np.array([by_volume_g])
         weight_g = float(self._blend.weights_g(*parts, features)[0])
         terms = _terms(cloud, weight_g, network_g, by_volume_g, level_sd_m)
         unlike = self._unlike(cloud)
         low, high = self._bounds(weight_g, terms, unlike, cloud.belt_distance_m)
-        camera = (CAMERA_UNLIKE,) if unlike > SURELY_UNLIKE else ()
         form = self.form.flags if self._together is None else (BATCHED,)
         return Weighed(
             weight_g=round(weight_g, 3),
@@ -178,12 +177,12 @@ class Weigher:
             volume_g=round(by_volume_g, 3),
             method="pointraft",
             model=self._model_id,
-            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *camera, *form),
+            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g, unlike), *form),
             sizes=_sizes(cloud, terms),
         )
 
     def _by_volume(
-        self, cloud: PreparedCloud, weight_g: float, flags: tuple[str, ...], *, level_sd_m: float
+        self, cloud: PreparedCloud, weight_g: float, failed: tuple[str, ...], *, level_sd_m: float
     ) -> Weighed:
         factor = float(np.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05)))
         return Weighed(
@@ -194,7 +193,7 @@ class Weigher:
             volume_g=round(weight_g, 3),
             method="volume",
             model=VOLUME_MODEL,
-            flags=flags,
+            flags=(*cloud.flags, *failed, *self._out_of_range(cloud, None, weight_g, self._unlike(cloud))),
             sizes=_sizes(cloud, _terms(cloud, weight_g, weight_g, weight_g, level_sd_m)),
         )
 
@@ -214,14 +213,20 @@ class Weigher:
         low, high = self._interval.bounds_g(np.array([weight_g]), terms[None], np.array([unlike]), distance_m)
         return float(low[0]), float(high[0])
 
-    def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:
+    def _out_of_range(
+        self, cloud: PreparedCloud, network_g: float | None, by_volume_g: float, unlike: float
+    ) -> tuple[str, ...]:
+        """Flags of what the training did not see. Without the network (None) nothing is clamped, and nothing disagrees
+        with the rule.
+        """
         sidecar, factor = self.sidecar, self.sidecar.disagreement_factor
         checks = {
-            "height_clamped": 0.0 <= cloud.height_m <= sidecar.input.max_height_m,
+            "height_clamped": network_g is None or 0.0 <= cloud.height_m <= sidecar.input.max_height_m,
             BELT_DISTANCE: sidecar.belt_distance_m.holds(cloud.belt_distance_m),
             "size": sidecar.length_mm.holds(cloud.surface.length_mm),
-            "weight": sidecar.weight_g.holds(network_g),
-            "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,
+            "weight": sidecar.weight_g.holds(by_volume_g if network_g is None else network_g),
+            "volume_disagrees": network_g is None or 1 / factor <= network_g / by_volume_g <= factor,
+            CAMERA_UNLIKE: unlike <= SURELY_UNLIKE,
         }
         return tuple(name for name, fine in checks.items() if not fine)
 
@@ -261,12 +266,7 @@ def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
 
 def weigh_views(weigher: Weigher, views: Sequence[View], *, regressor: str) -> list[Weight]:
     """The answers to `views`, in their order."""
-    prepared: list[PreparedCloud | RefusedCloud] = []
-    for view in views:
-        try:
-            prepared.append(prepare_view(view))
-        except RefusedCloud as refusal:
-            prepared.append(refusal)
+    prepared = [_prepared(view) for view in views]
     fit = [(view, cloud) for view, cloud in zip(views, prepared, strict=True) if isinstance(cloud, PreparedCloud)]
     weighed = weigher.weigh_many(
         [cloud for _, cloud in fit],
@@ -280,6 +280,16 @@ def weigh_views(weigher: Weigher, views: Sequence[View], *, regressor: str) -> l
         else _answer(weigher, view, next(found), regressor=regressor)
         for view, cloud in zip(views, prepared, strict=True)
     ]
+
+
+def _prepared(view: View) -> PreparedCloud | RefusedCloud:
+    """The view's cloud, or why it cannot be weighed."""
+    try:
+        cloud = prepare_view(view)
+    except RefusedCloud as refusal:
+        return refusal
+    fault = distance_fault(cloud)
+    return RefusedCloud(OFF_THE_BELT, fault) if fault else cloud
 
 
 def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -> Weight:

@@ -168,8 +168,10 @@ def test_out_of_range_is_flagged(weigher: Weigher) -> None:
             "weight_g": Range(low=1, high=2),
         }
     )
-    answer = Weigher(load_weights()[0], narrow).weigh(prepare_view(ellipsoid_view(AXES)))
-    assert set(answer.flags) == {"belt_distance", "size", "weight"}
+    for state in (load_weights()[0], None):
+        answer = Weigher(state, narrow).weigh(prepare_view(ellipsoid_view(AXES)))
+        assert answer.method == ("volume" if state is None else "pointraft")
+        assert answer.flags == ("belt_distance", "size", "weight"), "by volume nothing was told"
 
 
 def test_farther_away_than_calibrated_an_interval_grows_with_the_distance(weigher: Weigher) -> None:
@@ -214,18 +216,22 @@ def test_a_refusal_names_its_reason(weigher: Weigher) -> None:
 
 
 @pytest.mark.parametrize("device", [None, "cpu"])
-def test_a_view_below_its_belt_is_refused_and_the_others_of_its_batch_are_weighed(
-    weigher: Weigher, device: str | None
+@pytest.mark.parametrize(
+    ("belt_m", "reason"),
+    [(-0.4, "below_belt"), (0.02, "below_belt"), (0.28, "below_belt"), (0.291, "off_the_belt"), (30.0, "off_the_belt")],
+)
+def test_a_view_off_its_belt_is_refused_and_the_others_of_its_batch_are_weighed(
+    weigher: Weigher, device: str | None, belt_m: float, reason: str
 ) -> None:
-    """A division by zero ended the process, and with it the views beside it."""
+    """A division by zero ended the process, and with it the views beside it; under a belt 30 m away it weighed 3 kg."""
     view = ellipsoid_view(AXES)
-    low = replace(view, belt_from_camera=straight_down_belt_from_camera(0.28))
-    answers = weigh_views(weigher.on(device), [view, low, view], regressor="r1")
+    off = replace(view, belt_from_camera=straight_down_belt_from_camera(belt_m))
+    answers = weigh_views(weigher.on(device), [view, off, view], regressor="r1")
     assert [(answer.status, answer.reason) for answer in answers] == [
-        ("weighed", ""), ("refused", "below_belt"), ("weighed", "")
+        ("weighed", ""), ("refused", reason), ("weighed", "")
     ]  # fmt: skip
     assert answers[0] == answers[2]
-    assert [answer.reason for answer in weigh_views(weigher.on(device), [low], regressor="r1")] == ["below_belt"]
+    assert [answer.reason for answer in weigh_views(weigher.on(device), [off], regressor="r1")] == [reason]
 
 
 def _drawn(rng: np.random.Generator, tubers: int, *, shared: float = 0.8) -> dict[str, np.ndarray]:

@@ -22,7 +22,7 @@ from regressor.network.fast import groups_tensor
 from regressor.network.grouping import SharedGroups, group_prefix, group_random
 from regressor.network.sampling import farthest_points
 from regressor.network.sidecar import Sidecar
-from regressor.weigh.files import distance_fault
+from regressor.weigh.place import distance_fault
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tuberline.api.values import holds, in_range
@@ -341,9 +341,9 @@ def _told(value: object) -> str:
 
 def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None, resting_sd_mm: float = 0.0) -> Weight:
     in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
-    fault = distance_fault("the cloud", prepared)
+    fault = distance_fault(prepared)
     if fault:
-        raise InputError(fault)
+        raise InputError(f"the cloud: {fault}")
     found = _loaded(weights).weigher.weigh(prepared, belt_sd_m=belt_sd_mm / 1000, resting_sd_m=resting_sd_mm / 1000)
     return Weight(
         weight_g=found.weight_g,
