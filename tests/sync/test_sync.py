@@ -207,8 +207,12 @@ def test_a_copy_without_the_last_ticket_is_refused(empty: Postgres, tmp_path: Pa
         assert tickets == [(1.0,), (None,), (None,)]
         connection.execute("DROP TABLE tuberline.told")  # as a database of an earlier version is
     with connect(empty.url) as connection:
+        with pytest.raises(InputError, match=f"{copy} lacks the ticket of 1 kg of load '1 A' in the database"):
+            push(connection, copy)
+        assert connection.execute("SELECT ticket_kg FROM tuberline.load ORDER BY place").fetchall() == tickets
+        assert order_at_rest(whole, LoadOrder("u", "ticket", by="me", load="A", kg=2.0)).done
         push(connection, whole)
-        assert connection.execute("SELECT event FROM tuberline.told").fetchall() == [(4,)]
+        assert connection.execute("SELECT event FROM tuberline.told").fetchall() == [(5,)]
 
 
 def damaged(ledger: Path, copy: Path) -> Path:

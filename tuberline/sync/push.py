@@ -17,6 +17,7 @@ from typing import Any
 import msgpack
 
 from aggregator.ledger.line_tickets import tickets_beside
+from aggregator.ledger.load_rows import read_book
 from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import LedgerView, RunRow, ledger_file, read_runs, read_summary, read_tubers, reading
 from aggregator.ledger.schema import LOAD_EVENT, checksum
@@ -182,15 +183,39 @@ def _refuse_older(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> 
         (list(run_ids),),
     ).fetchone()
     if found is None:
+        _refuse_without_tickets(connection, view, run_ids)
         return
     event, crc, run_id = found
     same = view.row(LOAD_EVENT, "WHERE n = ?", (event,))
     if same is None or checksum(same) != crc:
         raise InputError(
             f"ledger {view.path} lacks what was said last of the loads in the database (event {event}: a start, an "
-            "end, a ticket or a note): it is a copy of another ledger; sync the one that has it, which `tuberline load "
-            f"show` lists, or, if that is gone, {_afresh(run_id)}"
+            f"end, a ticket or a note): {_older_copy(run_id)}"
         )
+
+
+def _refuse_without_tickets(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> None:
+    """The same of loads that were synced before there was `NEWEST`: a ticket there is one that the ledger was told at
+    some time.
+    """
+    loads = read_book(view).loads.values()
+    told_kg = {t.ticket_g / 1000 for load in loads for t in load.tickets if t.net and t.ticket_g is not None}
+    there = connection.execute(
+        f"SELECT load, ticket_kg, ledger FROM {SCHEMA}.load WHERE ledger = ANY(%s) ORDER BY place", (list(run_ids),)
+    )
+    for load, kg, run_id in there:
+        if kg is not None and kg not in told_kg:
+            raise InputError(
+                f"ledger {view.path} lacks the ticket of {kg:g} kg of load '{load}' in the database: "
+                f"{_older_copy(run_id)}"
+            )
+
+
+def _older_copy(run_id: int) -> str:
+    return (
+        "it is a copy of another ledger; sync the one that has it, which `tuberline load show` lists, or, if that is "
+        f"gone, {_afresh(run_id)}"
+    )
 
 
 def _afresh(run_id: int) -> str:
