@@ -2,9 +2,10 @@
 
     python -m benchmarks perception --out runs/perception [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
 
-Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>.json: what is there is
-not done again, so the command may be stopped and called again. Tables: OUT/perception.md, of all results in OUT with
-this preset and number of tubers. The recordings' masks serve as truth only.
+Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>-every<N>.json, after
+all options that they depend on: what is there is not done again, so the command may be stopped and called again; with
+another version or other weights it takes --fresh. Tables: OUT/perception.md, of all results in OUT with this preset,
+number of tubers and --every. The recordings' masks serve as truth only.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = core_settings(parse_config({}, where="of the benchmark"))
     cases = suite(tuple(options.scenes), seeds=tuple(options.seeds), tubers=options.tubers, preset=options.preset)
     for case in cases:
-        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _score(c, options, settings))
+        _kept(_result_file(out, case, options.every), options.fresh, lambda c=case: _score(c, options, settings))
     timed = [Case(scene, options.seeds[0], TIMED_TUBERS, options.preset, camera) for scene, camera in TIMED]
     times = [
         _kept(out / f"time-{case.name}.json", options.fresh, lambda c=case: _time(c, out, settings))
         for case in timed
         if options.times
     ]
-    rows = _all_kept(out, preset=options.preset, tubers=options.tubers)
+    rows = _all_kept(out, preset=options.preset, tubers=options.tubers, every=options.every)
     text = tables(rows, times)
     (out / "perception.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)
@@ -60,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.stdout.write("\n")
     if options.graph:
         for case in cases:
-            _compare_graph(case, out)
+            _compare_graph(case, out, options.every)
+
+
+def _result_file(out: Path, case: Case, every: int) -> Path:
+    return out / f"{case.name}-every{every}.json"
 
 
 def _kept(path: Path, fresh: bool, make: Any) -> dict[str, Any]:
@@ -73,10 +78,9 @@ def _kept(path: Path, fresh: bool, make: Any) -> dict[str, Any]:
     return result
 
 
-def _all_kept(out: Path, *, preset: str, tubers: int) -> list[dict[str, Any]]:
-    """All results of scenes in `out` with so many tubers of a preset, in the suite's order."""
-    paths = [path for path in out.glob("*-seed*.json") if not path.name.startswith("time-")]
-    rows = [dict(json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+def _all_kept(out: Path, *, preset: str, tubers: int, every: int) -> list[dict[str, Any]]:
+    """All results of scenes in `out` with so many tubers of a preset and that `--every`, in the suite's order."""
+    rows = [dict(json.loads(path.read_text(encoding="utf-8"))) for path in out.glob(f"*-seed*-every{every}.json")]
     rows = [row for row in rows if (row["preset"], row["tubers"]) == (preset, tubers)]
     return sorted(rows, key=lambda row: (SUITE.index(row["scene"]), row["seed"], row["name"]))
 
@@ -106,7 +110,7 @@ def _time(case: Case, out: Path, settings: Settings) -> dict[str, Any]:
     return {"name": f"{case.scene}, {case.camera}", "times": stage_times(recording, settings)}
 
 
-def _compare_graph(case: Case, out: Path) -> None:
+def _compare_graph(case: Case, out: Path, every: int) -> None:
     """The same recording through `tuberline replay`: real processes over Zenoh must count the same."""
     from aggregator.scoring.score import score_run
     from tuberline.replayer import replay_recording
@@ -116,7 +120,7 @@ def _compare_graph(case: Case, out: Path) -> None:
     if not (run / "summary.json").is_file():
         replay_recording(recording, out=run, ignore_masks=True)
     graph = score_run(run, truth=recording / "truth.json").as_dict()
-    here = json.loads((out / f"{case.name}.json").read_text(encoding="utf-8"))["score"]
+    here = json.loads(_result_file(out, case, every).read_text(encoding="utf-8"))["score"]
     differs = [name for name in ("count", "missed", "double_counted", "false") if graph[name] != here[name]]
     if differs:
         raise TuberlineError(f"{case.name}: the graph and this process differ in {', '.join(differs)}; see {run}")

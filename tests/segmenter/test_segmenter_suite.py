@@ -120,12 +120,17 @@ def test_the_table_adds_up_the_seeds_of_a_scene_and_names_what_falls_short() -> 
     assert shortfalls(rows) == ["touching seed 2: F1 0.9600, goal 0.97", "touching seed 2: count +2.00 %, goal 1.0 %"]
 
 
-def test_the_table_holds_results_of_one_preset(tmp_path: Path) -> None:
-    """Belts of `easy` and `field` that lay in one folder were added up as one scene's."""
-    for row in (kept_row(1, 301, 0.99), kept_row(1, 306, 0.99, preset="easy")):
-        (tmp_path / f"{row['name']}.json").write_text(json.dumps(row), encoding="utf-8")
+def test_the_table_holds_results_of_one_preset_and_of_one_every(tmp_path: Path) -> None:
+    """Belts of `easy` and `field` that lay in one folder were added up as one scene's, and masks of every 12th frame
+    were told as those of every third.
+    """
+    easy = kept_row(1, 306, 0.99, preset="easy")
+    for row, every in ((kept_row(1, 301, 0.99), 3), (easy, 3), (kept_row(2, 309, 0.98, preset="easy"), 12)):
+        (tmp_path / f"{row['name']}-every{every}.json").write_text(json.dumps(row), encoding="utf-8")
+    (tmp_path / f"{easy['name']}.json").write_text(json.dumps(easy), encoding="utf-8")  # as it was kept before
     perception.main(["--out", str(tmp_path), "--scenes", "touching", "--seeds", "1", "--preset", "easy"])
     table = (tmp_path / "perception.md").read_text(encoding="utf-8")
     assert "| touching | 1 | 300 | 306 |" in table
     assert "all" not in table
     assert "| 301 |" not in table
+    assert "| 309 |" not in table
