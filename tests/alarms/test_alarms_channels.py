@@ -6,9 +6,12 @@ import base64
 import json
 import queue
 import shutil
+import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +22,11 @@ from conveyor.config_alarms import AlarmsConfig
 from conveyor.errors import ConfigError
 from tests.alarms.alarm_words import message, receiving
 from tests.conftest import wait_until
-from tuberline.alarms.channels import Channel, ChannelError, RefusedError, open_channels
+from tuberline.alarms.channels import Address, Channel, ChannelError, RefusedError, open_channels, tls_context
 from tuberline.alarms.machine import AlarmMachine, Timing
 from tuberline.alarms.outbox import Outbox
 from tuberline.alarms.sender import Sender
+from tuberline.alarms.webhook import Webhook
 
 PASSWORD = "moss, quite secret"
 
@@ -63,6 +67,41 @@ def test_an_answer_that_is_no_yes_is_an_error(answer: int, kind: type[Exception]
         assert type(caught.value) is kind
         assert server.taken == []
         assert len(server.asked) == 1
+
+
+@contextmanager
+def dripping(at_once: bytes) -> Iterator[str]:
+    """A server that answers `at_once` and then a byte every 50 ms, for as long as it is listened to: its address."""
+    left = threading.Event()
+
+    def serve() -> None:
+        with suppress(OSError):
+            asker, _ = server.accept()
+            with asker:
+                asker.sendall(at_once)
+                while not left.wait(0.05):
+                    asker.sendall(b"x")
+        left.set()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.getsockname()[1]}/alarms"
+        assert left.wait(10), "the link was not closed"
+
+
+@pytest.mark.parametrize("at_once", [b"", b"HTTP/1.1 503 Busy\r\nX-Wait: ", b"HTTP/1.1 200 OK\r\nX-Wait: "])
+def test_an_answer_that_drips_is_not_waited_for(at_once: bytes, tmp_path: Path) -> None:
+    """Each byte came within the time limit, so the sender waited for as long as they came. A 200 is a yes by then."""
+    with dripping(at_once) as url:
+        hook = Webhook(Address(url), tls_context(None), within_s=0.4)
+        begun_s = time.monotonic()
+        if b"200" in at_once:
+            hook.send(message(1), lost_before=0)
+        else:
+            with pytest.raises(ChannelError, match="503" if at_once else r"it does not answer within 0\.4 s"):
+                hook.send(message(1), lost_before=0)
+        assert time.monotonic() - begun_s < 5
 
 
 def test_what_waits_arrives_in_order_once_the_network_is_back(tmp_path: Path) -> None:

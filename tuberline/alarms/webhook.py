@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import http.client
 import json
+import socket
 import ssl
+import threading
 import urllib.error
 import urllib.request
 from typing import Any
@@ -24,7 +27,7 @@ NEVER = frozenset({400, 413, 415, 422})
 class Webhook:
     """Posts to one address. A redirection is an error: it would turn the POST into a GET."""
 
-    def __init__(self, address: Address, tls: ssl.SSLContext) -> None:
+    def __init__(self, address: Address, tls: ssl.SSLContext, *, within_s: float = WITHIN_S) -> None:
         self.id, self.shown = address.id, address.shown
         parts = address.parts
         host = f"[{parts.hostname}]" if ":" in (parts.hostname or "") else parts.hostname
@@ -34,7 +37,8 @@ class Webhook:
         self._headers = {"Content-Type": "application/json", "User-Agent": f"tuberline/{__version__}"}
         if address.login is not None:
             self._headers["Authorization"] = "Basic " + base64.b64encode(":".join(address.login).encode()).decode()
-        self._opener = urllib.request.build_opener(urllib.request.HTTPSHandler(context=tls), _NoRedirection())
+        self._within_s = within_s
+        self._opener = urllib.request.build_opener(_Http(), _Https(tls), _NoRedirection())
 
     def send(self, message: AlarmMessage, *, lost_before: int) -> None:
         """Post it; any answer of 200 to 299 means taken."""
@@ -43,7 +47,7 @@ class Webhook:
             self._url, body, {**self._headers, "Idempotency-Key": message.id}, method="POST"
         )
         try:
-            self._opener.open(request, timeout=WITHIN_S).close()
+            self._opener.open(request, timeout=self._within_s).close()
         except urllib.error.HTTPError as error:
             error.close()
             kind = RefusedError if error.code in NEVER else ChannelError
@@ -52,6 +56,56 @@ class Webhook:
             raise ChannelError(str(error.reason)) from error
         except (OSError, ValueError, http.client.HTTPException) as error:
             raise ChannelError(str(error) or type(error).__name__) from error
+
+
+class _Cut(http.client.HTTPConnection):
+    """A connection that is cut when it has lasted for its timeout: urllib's own is one of each read, and a server that
+    drips its answer would hold us for as long as it likes.
+    """
+
+    def __init__(self, host: str, **given: Any) -> None:
+        super().__init__(host, **given)
+        self._late = threading.Event()
+        self._watch = threading.Timer(given["timeout"], self._cut)
+        self._watch.daemon = True
+
+    def connect(self) -> None:
+        self._watch.start()
+        super().connect()
+
+    def getresponse(self) -> http.client.HTTPResponse:
+        try:
+            return super().getresponse()
+        except (OSError, http.client.HTTPException) as error:
+            if self._late.is_set():
+                raise TimeoutError(f"it does not answer within {self.timeout:g} s") from error
+            raise
+        finally:
+            self._watch.cancel()
+
+    def _cut(self) -> None:
+        self._late.set()
+        if (sock := self.sock) is not None:
+            with contextlib.suppress(OSError):  # it has just closed
+                socket.socket.shutdown(sock, socket.SHUT_RDWR)
+
+
+class _CutTls(_Cut, http.client.HTTPSConnection):
+    """The same, encrypted."""
+
+
+class _Http(urllib.request.HTTPHandler):
+    def http_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_Cut, request)
+
+
+class _Https(urllib.request.HTTPSHandler):
+    def __init__(self, tls: ssl.SSLContext) -> None:
+        super().__init__(context=tls)
+        self._tls = tls
+
+    def https_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_CutTls, request, context=self._tls)
 
 
 class _NoRedirection(urllib.request.HTTPRedirectHandler):
