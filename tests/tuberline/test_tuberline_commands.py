@@ -17,6 +17,7 @@ from rich.console import Console
 
 from tuberline.cli import build_app
 from tuberline.cli.commands import FORMER, GROUPS, LAB, PARTS
+from tuberline.cli.width import LEAST_WIDTH, least_width
 
 ROOT = Path(__file__).resolve().parents[2]
 WATCHES = (
@@ -56,6 +57,27 @@ def leaves(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
 
 
 ALL = sorted(leaves(build_app()))
+
+
+def test_help_in_a_terminal_of_one_column_is_readable() -> None:
+    """It wrote empty lines for ever."""
+    command = [sys.executable, "-m", "tuberline", "demo", "--help"]
+    narrow = {**_env(), "COLUMNS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=narrow, timeout=60)
+    assert done.returncode == 0
+    assert "Number of weighing" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) == LEAST_WIDTH
+
+
+@pytest.mark.parametrize(
+    ("given", "laid_out"), [("0", "40"), ("2", "40"), ("39", "40"), ("41", "41"), ("wide", "wide")]
+)
+def test_a_narrow_terminal_is_taken_for_one_of_40_columns(
+    given: str, laid_out: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", given)
+    least_width()
+    assert os.environ["COLUMNS"] == laid_out
 
 
 def test_help_is_one_screen_of_what_a_user_needs() -> None:

@@ -16,6 +16,7 @@ from conveyor.files import told
 from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
 from tuberline.cli.leaving import leave_when_told, told_to_end
+from tuberline.cli.width import least_width
 
 __all__ = ["build_app", "main"]
 
@@ -33,6 +34,7 @@ def main() -> None:
 
     gc.set_threshold(NEW_OBJECTS)
     setup_logs()
+    least_width()
     if sys.argv[1:2] and sys.argv[1] in LONG_RUNNING:
         end_on_faults()
     leave_when_told()
