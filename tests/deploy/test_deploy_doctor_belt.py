@@ -78,6 +78,8 @@ def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, fl
     other, belt = check_running_belts(config, nodes, alive=set(nodes))
     assert (other.level, belt.level) == (Level.FAULT, Level.OK)
     assert said in other.text
+    del gauges["belt_drift_mm"]
+    assert check_running_belts(config, nodes, alive=set(nodes)) == [other], "a load hid the belt, and nothing was said"
 
 
 def test_outlines_that_grow_and_distances_that_contradict_the_travel_are_told() -> None:
@@ -91,19 +93,21 @@ def test_outlines_that_grow_and_distances_that_contradict_the_travel_are_told() 
 
 
 def test_a_running_segmenters_gauge_and_noise_are_told() -> None:
-    config = parse_config({"cameras": {"left": {}, "right": {}, "third": {}}}, where="test")
+    config = parse_config({"cameras": {"left": {}, "right": {}, "third": {}, "far": {}}}, where="test")
     nodes = {
         f"segmenter/{name}": Counters("segmenter", name, "r", 1, "h", "1", 9.0, {}, {"belt_drift_mm": 0.3, **gauges})
         for name, gauges in {
             "third": {"gauge_unseen": 1.0},
             "left": {"gauge_cause": 2.0, "gauge_drift_px": 0.21, "camera_noise_px": 0.02},
             "right": {"gauge_cause": 0.0, "camera_noise_px": 0.2},
+            "far": {"gauge_cause": 2.0, "gauge_drift_px": 0.9, "gauge_beyond": 1.0},
         }.items()
     }
     found = {f.check: f for f in check_running_belts(config, nodes, alive=set(nodes))}
     assert found["gauge of left"].level is Level.WARNING
     assert "the depth scale drifted by +0.21 px" in found["gauge of left"].text
     assert "gauge of right" not in found
+    assert found["gauge of far"].level is Level.FAULT, "weights are off, it says"
     assert "has not been seen once" in found["gauge of third"].text
     assert "correct the gauge in [belt]" in found["gauge of third"].fix
     noisy = check_running_noise(config, nodes, camera_range(("easy",)), alive=set(nodes))

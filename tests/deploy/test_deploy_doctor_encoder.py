@@ -27,6 +27,7 @@ def found(
     segmenter: dict[str, float] | None = None,
     counts: int = 100,
     config: LineConfig = CONFIG,
+    gone: str = "",
 ) -> list[Finding]:
     gauges = {"encoder/encoder": encoder, "camera/left": camera or {}, "segmenter/left": segmenter or {}}
     nodes = {}
@@ -34,7 +35,7 @@ def found(
         if levels is not None:
             values = {"counts": counts, "encoder_lost": 3, "counts_odd": int(levels.get("odd", 0))}
             nodes[name] = Counters(*name.split("/"), "r", 1, "h", "1", 9.0, values, levels)
-    return check_encoder(config, nodes, alive=set(nodes))
+    return check_encoder(config, nodes, alive=set(nodes) - {gone})
 
 
 def test_one_that_tells_is_well() -> None:
@@ -61,6 +62,8 @@ def test_a_camera_that_does_not_hear_it_is_named() -> None:
     (finding,) = found(TELLS, camera={"encoder_silent_s": 31.0})
     assert finding.level is Level.WARNING
     assert "camera/left has heard nothing from it for 31 s" in finding.text
+    (gone,) = found(TELLS, camera={"encoder_silent_s": 31.0}, gone="camera/left")
+    assert gone.level is Level.OK, "a camera that is not there any more was named"
 
 
 @pytest.mark.parametrize(("scale", "level"), [(1.004, Level.OK), (0.95, Level.WARNING)])

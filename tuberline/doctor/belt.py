@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 
 from conveyor.belt_findings import belt_findings
@@ -30,6 +30,7 @@ SEEN_TWICE = {
 }
 """Levels of what the same tubers in several frames say of a camera, or cannot say, and what to do."""
 UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'
+MOVED = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
 WRONG_SCALE = 3.0
 """Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
 
@@ -68,27 +69,32 @@ def check_belt_seen(camera: str, *, given_m: float | None, seen_m: Sequence[floa
 
 def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set[str]) -> list[Finding]:
     """What the segmenters say of their belts while the line runs."""
-    found = []
+    found: list[Finding] = []
     for camera in sorted(config.cameras):
         name = f"segmenter/{camera}"
-        if name not in nodes or name not in alive or "belt_drift_mm" not in nodes[name].gauges:
+        if name not in nodes or name not in alive:
             continue
         gauges = nodes[name].gauges
+        found += _told(camera, gauges)
+        if "belt_drift_mm" not in gauges:  # no belt was seen beside the load, or there is no distance to compare with
+            continue
         leans = f", leaning {gauges['belt_tilt_off_deg']:.1f} deg" if gauges.get("belt_tilt_off_deg") else ""
         text = f"{name} sees it {gauges['belt_drift_mm']:+.1f} mm off its calibration{leans}"
-        why = [text for key, text in belt_findings(camera, gauges).items() if key.startswith("gauge_")]
-        if why:
-            fix = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
-            found.append(warning(f"gauge of {camera}", why[0], UNSEEN if gauges.get("gauge_unseen") else fix))
-        for key, fix in SEEN_TWICE.items():
-            if gauges.get(key):
-                found.append(warning(f"tubers of {camera}", belt_findings(camera, gauges)[key], fix))
-        for key, fix in OTHER_WAY.items():
-            if gauges.get(key):
-                found.append(fault(f"belt of {camera}", belt_findings(camera, gauges)[key], fix))
         if gauges.get("belt_alarm"):
             fix = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
             found.append(fault(f"belt of {camera}", text, fix))
         else:
             found.append(ok(f"belt of {camera}", text))
     return found
+
+
+def _told(camera: str, gauges: Mapping[str, float]) -> Iterator[Finding]:
+    """What a segmenter's levels say beside where the belt is."""
+    for key, text in belt_findings(camera, gauges).items():
+        if key.startswith("gauge_"):
+            make = fault if gauges.get("gauge_beyond") else warning
+            yield make(f"gauge of {camera}", text, UNSEEN if key == "gauge_unseen" else MOVED)
+        elif key in SEEN_TWICE:
+            yield warning(f"tubers of {camera}", text, SEEN_TWICE[key])
+        elif key != "belt_alarm":
+            yield fault(f"belt of {camera}", text, OTHER_WAY.get(key, "it says what to do"))

@@ -22,13 +22,13 @@ def check_encoder(config: LineConfig, nodes: Mapping[str, Counters], *, alive: s
     settings = config.encoder
     if settings is None or not config.hears_encoder:
         return []
-    name = f"encoder/{settings.name}"
+    heard = {name: counters for name, counters in nodes.items() if name in alive}
     found = []
-    node = nodes.get(name) if name in alive else None
+    node = heard.get(f"encoder/{settings.name}")
     if node is not None and not node.gauges.get("tells"):
         found.append(_tells_nothing(node))
     for camera in config.hears_encoder:
-        source, segmenter = (nodes.get(f"{role}/{camera}") for role in ("camera", "segmenter"))
+        source, segmenter = (heard.get(f"{role}/{camera}") for role in ("camera", "segmenter"))
         silent_s = source.gauges.get("encoder_silent_s", 0.0) if source is not None else 0.0
         scale = segmenter.gauges.get("encoder_scale") if segmenter is not None else None
         if silent_s >= SILENT_S:
