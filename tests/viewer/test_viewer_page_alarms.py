@@ -38,6 +38,10 @@ def test_a_dark_camera_is_told_with_how_long_and_what_to_do() -> None:
     shown = snapshot(state)
     assert shown["state"] == "trouble"
     assert [camera["state"] for camera in shown["cameras"]] == ["trouble", "ok"]
+    second = segmenter("left-2", growing_s=dark.growing_s)
+    shown = snapshot(with_node(good_state(), "segmenter/left-2", second))
+    told = {camera["name"]: camera["state"] for camera in shown["cameras"]}
+    assert told == {"left": "ok", "left-2": "trouble", "right": "ok"}, "'left' was shown red for 'left-2'"
 
 
 def test_drops_that_are_over_are_history_and_no_alarm() -> None:

@@ -109,7 +109,7 @@ def _shown_cameras(state: LineState) -> list[str]:
 
 
 def _troubled(camera: str, found: Iterable[Alarm]) -> bool:
-    return any(alarm.level == "trouble" and alarm.key.startswith(f"camera-{camera}-") for alarm in found)
+    return any(alarm.level == "trouble" and alarm.values.get("camera") == camera for alarm in found)
 
 
 def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
