@@ -84,8 +84,12 @@ def _tubers(segmenter: NodeState) -> Iterator[Found]:
     if grown_px := segmenter.level("outline_grown_px"):
         yield "outline", False, "alarm.camera.outline_grown", "todo.camera.outline_grown", {"px": grown_px}
     if farther := segmenter.level("farther_than_travel"):
-        say = "alarm.camera.farther" if farther > 0 else "alarm.camera.nearer"
-        yield "farther", False, say, "todo.camera.farther", {"percent": 100 * abs(farther)}
+        say, todo = "alarm.camera.farther" if farther > 0 else "alarm.camera.nearer", "todo.camera.farther"
+        if segmenter.level("scaled_by_travel"):
+            say, todo = "alarm.camera.scaled", "todo.camera.scaled"
+        yield "farther", False, say, todo, {"percent": 100 * abs(farther)}
+    if segmenter.level("travel_not_told"):
+        yield "travel-not-told", False, "alarm.camera.travel_not_told", "todo.camera.travel_not_told", {}
 
 
 def _encoder(source: NodeState | None, segmenter: NodeState) -> Iterator[Found]:
