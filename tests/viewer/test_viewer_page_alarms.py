@@ -266,57 +266,6 @@ def test_a_little_belt_in_layers_is_not_none() -> None:
     assert text.startswith("Tubers lie in more than one layer on <1 % of the belt: 3 hidden, estimated.")
 
 
-def test_old_totals_are_told_though_cameras_live() -> None:
-    state = good_state(totals_age_s=40.0)
-    assert texts(state, "trouble") == ["These figures are 40 s old: the aggregator sends none."]
-    assert snapshot(state)["load"]["old"]
-
-
-def test_no_contact_is_the_one_thing_to_say_and_nothing_flows() -> None:
-    state = good_state(heard_s=14.0, totals_age_s=14.0)
-    (alarm,) = alarms(state)
-    assert alarm.text == "No contact with line north for 14 s."
-    shown = snapshot(state)
-    assert (shown["state"], shown["heard_s"], shown["flow"]) == ("no contact", 14.0, None)
-    never = LineState("north", no_router="tcp/10.0.0.1:7447")
-    assert alarms(never)[0].text == "No contact with line north. No router answers at tcp/10.0.0.1:7447."
-
-
-def test_a_router_that_dies_is_not_told_as_the_end_of_every_process() -> None:
-    """For 3 s the page said of each camera that it had stopped and lost frames, and that no regressor was running."""
-    state = good_state(heard_s=0.6)
-    cut = {name: replace(found, alive=False, gone_s=0.2) for name, found in state.nodes.items()}
-    (alarm,) = alarms(replace(state, nodes=cut))
-    assert (alarm.key, alarm.text) == ("no-contact", "No contact with line north for 0 s.")
-    assert snapshot(replace(state, nodes=cut))["state"] == "no contact"
-    one_left = {**cut, "camera/left": state.nodes["camera/left"]}
-    assert "Camera right stopped 0 s ago." in texts(replace(state, nodes=one_left), "trouble")
-    ended = {
-        name: replace(found, report=found.report and replace(found.report, status="ended"))
-        for name, found in cut.items()
-    }
-    assert "no-contact" not in {alarm.key for alarm in alarms(replace(state, nodes=ended))}, "they said goodbye"
-
-
-def test_a_complete_load_does_not_grow_old() -> None:
-    state = good_state(heard_s=600.0, totals_age_s=600.0, totals=totals(final=True))
-    (alarm,) = alarms(state)
-    assert (alarm.level, "10 min" in alarm.text) == ("note", True)
-    shown = snapshot(state)
-    assert (shown["state"], shown["load"]["old"]) == ("complete", False)
-
-
-def test_cameras_of_a_line_that_was_switched_off_have_ended() -> None:
-    """A live camera that is stopped says nothing more: its last word, that it streams, was told as working."""
-    state = good_state(heard_s=600.0, totals_age_s=600.0, totals=totals(final=True))
-    assert {camera["state"] for camera in snapshot(state)["cameras"]} == {"ok"}, "it goes on, after the run"
-    off = {name: replace(found, alive=False, gone_s=600.0) for name, found in state.nodes.items()}
-    assert {camera["state"] for camera in snapshot(replace(state, nodes=off))["cameras"]} == {"ended"}
-    failed = {**state.cameras, "left": camera_info("left", state="failed")}
-    shown = snapshot(replace(state, nodes=off, cameras=failed))["cameras"]
-    assert [camera["state"] for camera in shown] == ["failed", "ended"]
-
-
 def test_a_replay_that_waits_has_no_gaps_while_a_frame_is_under_way() -> None:
     waits = {name: camera_info(name, waits=True, refused={"broken_png": 2}) for name in ("left", "right")}
     ahead = segmenter("left", gauges={"frames_gaps": 3.0}, growing_s={"frames_gaps": 9.0})

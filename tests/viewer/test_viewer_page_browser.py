@@ -72,7 +72,8 @@ def until_told(browser: Browser, board: Board, shown: dict[str, Any], *words: st
 
 
 def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
-    board = Board(["north"])
+    """Of a page that was started again without one of its lines, the browser kept that line's figures for good."""
+    board = Board(["north", "south"])
     dark = segmenter("left", gauges={"frames_dropped_blind": 360.0}, growing_s={"frames_dropped_blind": 12.4})
     board.put(seen := snapshot(with_node(good_state(), "segmenter/left", dark)))
     with ExitStack() as first:
@@ -102,10 +103,12 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
     assert "Old figures: last heard" in text(browser)
     assert js(browser, "document.querySelector('.line').dataset.old") == "yes"
     assert js(browser, "getComputedStyle(document.querySelector('.side')).opacity") != "1"
+    board = Board(["north"])
     with PageServer(board, host="127.0.0.1", port=port):
         board.put(snapshot(good_state()))
         until(lambda: "No alarms." in text(browser), what="the page comes back by itself")
         until(lambda: "Page connected" in text(browser) and "No contact" not in text(browser), what="it is live again")
+        assert js(browser, "[document.querySelectorAll('.line').length, document.body.dataset.lines]") == [1, "1"]
 
 
 def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -> None:
@@ -280,6 +283,10 @@ def test_a_line_that_was_switched_off_takes_no_orders(browser: Browser) -> None:
         rows = "document.querySelectorAll('[data-put=loads] tr')"
         ends = js(browser, f"[...{rows}].map((row) => row.lastChild.textContent)")
         assert ends[-4:] == ["cut off", "stopped", "complete", "complete"]
+        stopped = {**told, "state": "stopped", "load": {**told["load"], "final": False}, "told_s": 60.0}
+        until_told(browser, board, stopped, "north Stopped", "Health: the line was stopped")
+        assert "No contact" not in text(browser)
+        assert js(browser, "document.querySelector('.line').dataset.old") == "no"
 
 
 def press_key(browser: Browser, key: str, code: int, **more: Any) -> None:

@@ -27,7 +27,7 @@ def seen_alarms(state: LineState, config: LineConfig, disks: Sequence[Finding]) 
     names = sorted({*state.camera_names(), *config.cameras}, key=len, reverse=True)
     found = [
         *_of_page(state, names),
-        *(_lost_regressors(state, config) if state.in_contact and not state.final else ()),
+        *(_lost_regressors(state, config) if state.in_contact and not (state.final or state.stopped) else ()),
         *_coverage(state, config.alarms.coverage_below),
         *_disks(disks),
     ]

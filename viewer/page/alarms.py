@@ -48,7 +48,10 @@ class Alarm:
 
 
 def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
-    """What is wrong, the worst `most` first. Where there is no contact, that is the one thing to say."""
+    """What is wrong, the worst `most` first. Where the line was stopped or there is no contact, that is all to say."""
+    if state.stopped:
+        since_s = max(node.away_s for node in state.role("aggregator").values())
+        return (Alarm("stopped", "note", "alarm.stopped", "todo.stopped", {"for": since_s}),)
     if not state.in_contact:
         return _no_contact(state)
     found = [

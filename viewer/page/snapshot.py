@@ -29,7 +29,7 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "contract": "" if state.totals is None else state.totals.contract,
         "changed_s": None if state.changed_s is None else round(state.changed_s, 1),
         "told": [_told(load, state) for load in state.told],
-        "flow": asdict(state.flow) if state.in_contact and not state.final else None,
+        "flow": asdict(state.flow) if state.in_contact and not (state.final or state.stopped) else None,
         "rate": None if state.rate is None else asdict(state.rate),
         "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
         "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
@@ -42,6 +42,8 @@ def snapshot(state: LineState) -> dict[str, Any]:
 def _state(state: LineState, *, worst: Level) -> str:
     if state.final:
         return "complete"
+    if state.stopped:
+        return "stopped"
     if not state.in_contact:
         return "no contact"
     if worst == "trouble":
@@ -65,7 +67,7 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "histogram": list(totals.histogram),
         "final": totals.final,
         "age_s": round(state.totals_age_s, 1),
-        "old": state.totals_age_s > STALE_S and not totals.final,
+        "old": state.totals_age_s > STALE_S and not (totals.final or state.stopped),
     }
 
 
@@ -119,7 +121,7 @@ def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
     states = ["gone" if node.left else node.state for node in (source, segmenter) if node is not None]
     well = "trouble" if troubled else "ok" if states else "waiting"
     now = next((state for state in states if state != "ok"), well)
-    over = state.final and now != "ok"  # a camera that is stopped does not say that it ends
+    over = (state.final or state.stopped) and now != "ok"  # a camera that is stopped does not say that it ends
     counts = _sheet(segmenter)
     return {
         "name": name,

@@ -190,6 +190,15 @@ class LineState:
         """The run is complete: its figures do not grow old."""
         return self.totals is not None and self.totals.final
 
+    @property
+    def stopped(self) -> bool:
+        """The line was ended on purpose before its run was complete: ledger, segmenters and cameras said goodbye."""
+        keeper, segmenters = self.role("aggregator"), self.role("segmenter")
+        if self.final or not keeper or not segmenters or set(segmenters) != set(self.camera_names()):
+            return False
+        counting = (keeper, segmenters, self.role("camera"))
+        return all(node.state == "ended" for nodes in counting for node in nodes.values())
+
     def role(self, role: str) -> dict[str, NodeState]:
         """The nodes of one role, by name."""
         head = f"{role}/"

@@ -8,7 +8,7 @@ import { fill } from "./table.js";
 import { ago, chosen, load, loadUnit, number, percent, rate, small, t, translate, weight, when } from "./words.js";
 
 const STALE_S = 3.5;
-const STATES = { running: "good", complete: "good", warned: "warning", waiting: "wait", starting: "wait", trouble: "trouble", "no contact": "trouble" };
+const STATES = { running: "good", complete: "good", warned: "warning", waiting: "wait", starting: "wait", stopped: "wait", trouble: "trouble", "no contact": "trouble" };
 const RUN_ENDS = { stopped: "stopped", "cut off": "cut_off" };
 
 export class LineCard {
@@ -49,9 +49,10 @@ export class LineCard {
     if (found === null) return;
     const heardS = found.heard_s === null || found.heard_s === undefined ? null : found.heard_s + (found.told_s ?? 0) + (sinceS ?? 0);
     const final = found.load?.final ?? false;
-    const gone = lost || found.state === "no contact" || (!final && heardS !== null && heardS > STALE_S);
-    const old = !final && (gone || (found.load?.old ?? false));
-    const now = gone && !final && found.state !== "starting" ? "no contact" : found.state;
+    const over = final || found.state === "stopped"; // figures that no one adds to do not grow old
+    const gone = lost || found.state === "no contact" || (!over && heardS !== null && heardS > STALE_S);
+    const old = !over && (gone || (found.load?.old ?? false));
+    const now = gone && !over && found.state !== "starting" ? "no contact" : found.state;
     this.gone = now === "no contact";
     this.health(found.health);
     this.loads.contact(!lost && heardS !== null && heardS <= STALE_S); // a line that is off hears no order
@@ -128,13 +129,14 @@ export class LineCard {
   // One line for who only wants to know whether all is well; the tables are below it.
   health(found) {
     const { processes = 0, well = 0, ended = [], ill = {} } = found ?? {};
-    const over = this.found.load?.final && well === 0;
+    const stopped = this.found.state === "stopped";
+    const over = stopped || (this.found.load?.final && well === 0);
     const parts = [
       t("health.well", { well, all: processes }),
       ...Object.entries(ill).map(([name, state]) => t("health.ill", { name, state: t(`node.${state}`) })),
       ...(ended.length ? [t("health.ended", { names: ended.join(", ") })] : []),
     ];
-    this.put("health", t("health", { what: this.gone ? t("health.unknown") : over ? t("health.over") : parts.join("; ") }));
+    this.put("health", t("health", { what: this.gone ? t("health.unknown") : over ? t(stopped ? "health.stopped" : "health.over") : parts.join("; ") }));
     this.places.health.closest("details").dataset.state = this.gone || over || !processes ? "wait" : Object.keys(ill).length ? "trouble" : "good";
   }
 

@@ -24,15 +24,21 @@ function listen() {
 }
 
 function show(snapshot) {
+  const told = new Set(snapshot.lines.map((found) => found.line));
+  for (const [line, card] of cards) {
+    if (told.has(line)) continue; // the page was started again, for other lines
+    card.element.remove();
+    cards.delete(line);
+  }
   for (const found of snapshot.lines) {
     if (!cards.has(found.line)) {
       const card = new LineCard(document.getElementById("line"));
       cards.set(found.line, card);
       lines.append(card.element);
-      document.body.dataset.lines = cards.size;
     }
     cards.get(found.line).take(found);
   }
+  document.body.dataset.lines = cards.size;
   tick();
 }
 
