@@ -9,7 +9,7 @@ import pytest
 
 import viewer.page.words as words_module
 from tests.viewer.page_states import loaded_state
-from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until_told
+from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until, until_told
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
@@ -85,4 +85,9 @@ def test_the_page_speaks_four_languages_and_three_units_and_remembers(browser: B
             until_told(browser, board, seen, told)
         browser.page("Page.navigate", url=url)
         until_told(browser, board, seen, "0,199 tot 0,214 t")
+        axes = "[[0, 0.005, 0.01], [0, 2.5, 5]].map(steps)"
+        js(browser, f"import('./charts.js').then(({{ steps }}) => {{ window.axes = {axes}; }}); 1")
+        until(lambda: js(browser, "window.axes"), what="the figures of two axes")
+        few = [["0,000", "0,005", "0,010"], ["0,0", "2,5", "5,0"]]
+        assert js(browser, "window.axes") == few, "all figures of a chart of buckets in tons were 0,0"
         js(browser, "localStorage.clear(); 1")

@@ -4,6 +4,13 @@ import { chosen, load, loadUnit, number, rate, t } from "./words.js";
 const HIGH = 150;
 const FONT = "13px system-ui, sans-serif";
 
+// Figures beside an axis, with as many decimals as tell them apart: a bucket is some thousandths of a ton.
+export function steps(splits) {
+  const step = splits.length > 1 ? splits[1] - splits[0] : splits[0];
+  const whole = (digits) => Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) < 1e-6;
+  return splits.map((figure) => number(figure, [0, 1, 2, 3].find(whole) ?? 4));
+}
+
 // A figure that is drawn again where its data, width, light, language or unit is another one.
 class Chart {
   constructor(figure) {
@@ -45,7 +52,7 @@ export class RateChart extends Chart {
       scales: { x: { time: false }, y: { range: [0, Math.max(1, most * 1.15)] } },
       axes: [
         { ...axis, size: 26, splits: () => (wide < 500 ? [-480, -240, 0] : [-480, -360, -240, -120, 0]), values: (_, splits) => splits.map((s) => (s ? t("span.min", { n: s / 60 }).replace("-", "−") : t("rate.now"))) },
-        { ...axis, size: 52, values: (_, splits) => splits.map((figure) => number(figure, most < 5 ? 1 : 0)) },
+        { ...axis, size: 52, values: (_, splits) => steps(splits) },
       ],
       series: [{}, { stroke: colours.bar, width: 3, fill: `${colours.bar}33`, points: { show: false }, spanGaps: false }],
     }));
@@ -69,7 +76,7 @@ export class LoadsChart extends Chart {
       scales: { x: { time: false, range: [-0.6, loads.length - 0.4] }, y: { range: [0, most * 1.12 || 1] } },
       axes: [
         { ...axis, size: 26, grid: { show: false }, splits: () => data[0], values: () => loads.map((each) => name(each, wide / loads.length)) },
-        { ...axis, size: 60, values: (_, splits) => splits.map((figure) => number(figure, most < 5 ? 1 : 0)) },
+        { ...axis, size: 60, values: (_, splits) => steps(splits) },
       ],
       series: [{}, { fill: colours.bar, stroke: colours.bar, paths: uPlot.paths.bars({ size: [0.6, 90] }), points: { show: false } }, ...[2, 3, 4].map(() => ({ show: true, paths: () => null, points: { show: false } }))],
       hooks: { draw: [(plot) => marks(plot, data, colours)] },
