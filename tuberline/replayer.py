@@ -83,9 +83,9 @@ def replay_recording(
 
     if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
-    cameras = recording_cameras(recording)
+    cameras = recording_cameras(recording, ignore_masks=ignore_masks)
     _refuse_early(weights, contract)
-    told = [open_source(recording, camera=name).description for name in cameras]
+    told = [open_source(recording, camera=name, ignore_masks=ignore_masks).description for name in cameras]
     belt: dict[str, Any] = belt_in(places) if places else {}
     belt |= stated_belt(() if belt else told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
@@ -203,13 +203,13 @@ def _summary(out: Path) -> dict[str, Any]:
     return summary
 
 
-def recording_cameras(recording: Path) -> list[str]:
+def recording_cameras(recording: Path, *, ignore_masks: bool = False) -> list[str]:
     """Names of the cameras in a recording of any known format, refused before anything is started or written where it
     cannot be used.
     """
     from conveyor.formats.cameras import check_readable
 
-    return check_readable(recording)
+    return check_readable(recording, ignore_masks=ignore_masks)
 
 
 def prepare_out(out: Path) -> None:

@@ -88,7 +88,7 @@ def line_names(recording: Path) -> list[str]:
     return names
 
 
-def check_readable(recording: Path) -> list[str]:
+def check_readable(recording: Path, *, ignore_masks: bool = False) -> list[str]:
     """Names of a recording's cameras, each read up to its first readable frame. One that has none is among them: its
     frames are counted as lost, and the others' are worth as much as before.
 
@@ -97,7 +97,7 @@ def check_readable(recording: Path) -> list[str]:
             the belt distance, no line can call a camera so, or its clock cannot tell travel, which is not given.
     """
     names = line_names(recording)
-    sources = [open_source(recording, camera=name) for name in names]
+    sources = [open_source(recording, camera=name, ignore_masks=ignore_masks) for name in names]
     found = [_beginning(source) for source in sources]
     by_clock = {
         name: frames for name, (frames, _) in zip(names, found, strict=True) if frames and frames[0].travel_m is None
@@ -187,7 +187,7 @@ def open_cameras(
         InputError: no recording of a known kind, one that cannot be used, or a camera that no line can call so; to
             `follow` also what `check_readable` refuses.
     """
-    names = check_readable(recording) if follow else line_names(recording)
+    names = check_readable(recording, ignore_masks=ignore_masks) if follow else line_names(recording)
     sources = [open_source(recording, camera=name, ignore_masks=ignore_masks) for name in names]
     counts = [source.description.frames for source in sources]
     total = None if None in counts else sum(count or 0 for count in counts)

@@ -110,7 +110,7 @@ def open_source(
     kind = recording_kind(path)
     by_topic = kind == "rosbag" and camera is not None and camera.startswith("/")
     chosen = camera if by_topic and camera else choose_camera(path, camera_names(path), camera)
-    inner = open_unchecked(path, kind, chosen, part=part)
+    inner = open_unchecked(path, kind, chosen, part=part, masks=not ignore_masks)
     return PreparedSource(
         inner,
         where=str(path),
@@ -172,24 +172,26 @@ def choose_camera(path: Path, known: Sequence[str], camera: str | None) -> str:
     return camera
 
 
-def open_unchecked(path: Path, kind: Kind, camera: str, *, part: int | None = None) -> RecordedSource:
-    """The source as it is recorded: for those who look for faults.
+def open_unchecked(
+    path: Path, kind: Kind, camera: str, *, part: int | None = None, masks: bool = True
+) -> RecordedSource:
+    """The source as it is recorded: for those who look for faults. Without `masks` a folder's are not even read.
 
     Raises:
         InputError: it cannot be opened, has no parts, or calls its camera what is no plain name.
     """
     if part is not None and kind != "mcap":
         raise InputError(f"{path} has no parts: only MCAP recordings of Tuberline's can hold several runs")
-    source = _open(path, kind, camera, part)
+    source = _open(path, kind, camera, part, masks)
     plain_name(source.description.name, where=path)
     return source
 
 
-def _open(path: Path, kind: Kind, camera: str, part: int | None) -> RecordedSource:
+def _open(path: Path, kind: Kind, camera: str, part: int | None, masks: bool) -> RecordedSource:
     if kind == "folder":
         from conveyor.formats.folder.reader import FolderSource
 
-        return FolderSource(_folders(path)[camera])
+        return FolderSource(_folders(path)[camera], masks=masks)
     if kind == "mcap":
         from conveyor.formats.mcap.reader import McapSource
 

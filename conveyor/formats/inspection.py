@@ -44,6 +44,7 @@ class CameraReport:
             samples that cannot be read, by reason.
         fps_seen: from the median step of capture times; clock_faults: steps backwards or longer than 2 s.
         belt_seen_m: median over samples of each frame's 75 % quantile of depth; belt_given_m: what the recording says.
+        travel, masks, color: whether frames have them; None where none of the samples can be read.
     """
 
     name: str
@@ -59,9 +60,9 @@ class CameraReport:
     depth_scale_m: float
     belt_given_m: float | None
     belt_seen_m: float | None
-    travel: bool
-    masks: bool
-    color: bool
+    travel: bool | None
+    masks: bool | None
+    color: bool | None
     warnings: tuple[str, ...]
 
 
@@ -122,9 +123,9 @@ def _inspect(source: RecordedSource) -> CameraReport:
         depth_scale_m=d.depth_scale_m,
         belt_given_m=expected_distance_m(frames[0]) if frames else d.belt_distance_m,
         belt_seen_m=None if belt_seen_m is None else round(belt_seen_m, 4),
-        travel=any(frame.travel_m is not None for frame in frames),
-        masks=any(frame.mask is not None for frame in frames),
-        color=any(frame.color_jpeg is not None for frame in frames),
+        travel=any(frame.travel_m is not None for frame in frames) if frames else None,
+        masks=any(frame.mask is not None for frame in frames) if frames else None,
+        color=any(frame.color_jpeg is not None for frame in frames) if frames else None,
         warnings=(
             *texts,
             *described_doubtfully(d),
@@ -146,7 +147,9 @@ def _samples(keys: list[FrameKey]) -> list[FrameKey]:
 
 
 def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDescription) -> list[str]:
-    given = expected_distance_m(frames[0]) if frames else None
+    if not frames:
+        return ["none of the frames looked at can be read: a replay would count nothing"]
+    given = expected_distance_m(frames[0])
     if given is None and belt_seen_m is not None and not NEAREST_M <= belt_seen_m <= FARTHEST_M:
         return [impossible_distance(belt_seen_m, d.depth_scale_m)]
     if given is None:
@@ -207,7 +210,8 @@ def _intrinsics_warnings(k: Intrinsics) -> list[str]:
         )
     if not 1 / MOST_OBLONG < k.fx / k.fy < MOST_OBLONG:
         warnings.append(
-            f"fx {k.fx:g} and fy {k.fy:g} differ, but depth cameras have square pixels: correct one of them"
+            f"fx {k.fx:g} and fy {k.fy:g} differ, but depth cameras have square pixels: correct one of them, unless "
+            "this one leaves out rows or columns"
         )
     return warnings
 

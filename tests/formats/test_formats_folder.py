@@ -94,14 +94,22 @@ def test_an_8_bit_image_and_a_wrong_size_are_refused(small_recording: Path) -> N
         cv2.imwrite(str(mask / f"{seq:06d}.png"), image)
     refused = {item.seq: item for item in _items(small_recording) if isinstance(item, Refused)}
     assert refused[5].reason == refused[6].reason == "bad_mask"
-    assert refused[5].text.endswith("mask/000005.png is no 16-bit single-channel PNG; write it as uint16")
-    assert refused[6].text.endswith("mask/000006.png is 320x90, its depth 320x180")
+    way_out = "; or ignore the masks (`replay --ignore-masks`, or ignore_masks in a line's file)"
+    assert refused[5].text.endswith(f"mask/000005.png is no 16-bit single-channel PNG; write it as uint16{way_out}")
+    assert refused[6].text.endswith(f"mask/000006.png is 320x90, its depth 320x180{way_out}")
+    unmasked = {item.seq: item for item in _items(small_recording, ignore_masks=True)}
+    assert {seq for seq, item in unmasked.items() if isinstance(item, Refused)} == {1, 3}, "masks that are not used"
 
 
 def test_masks_that_are_no_frames_by_their_names_are_told(small_recording: Path) -> None:
     """Masks saved as .PNG were left out without a word."""
     assert not open_source(small_recording).description.notes
-    for path in (small_recording / "front" / "mask").iterdir():
+    (small_recording / "front" / "mask" / "000003.png").rename(small_recording / "front" / "mask" / "000003.PNG")
+    (note,) = open_source(small_recording).description.notes
+    assert note.startswith("mask/ lacks the masks of 1 of ")
+    assert "(000003.png is the first): tubers of these are found on depth" in note
+    assert not open_source(small_recording, ignore_masks=True).description.notes
+    for path in (small_recording / "front" / "mask").glob("*.png"):
         path.rename(path.with_suffix(".PNG"))
     (note,) = open_source(small_recording).description.notes
     assert "as its frame's depth (000000.png), but '000000.PNG': tubers are found on depth" in note

@@ -50,6 +50,18 @@ def test_a_unit_that_cannot_be_is_told_without_a_given_distance(
     assert re.search(words, camera.warnings[0])
 
 
+def test_of_frames_that_cannot_be_read_nothing_is_said(tmp_path: Path) -> None:
+    """They had no masks, and their belt distance was not given, beside the one that was."""
+    with FolderWriter(tmp_path / "r", CameraDescription("front", "t", K, 0.001, 0.46, None, 30.0, 1)) as writer:
+        writer.write(frame(0))
+    (tmp_path / "r" / "front" / "depth" / "000000.png").write_bytes(b"")
+    (camera,) = inspect_recording(tmp_path / "r").cameras
+    assert (camera.belt_given_m, camera.travel, camera.masks, camera.color) == (0.46, None, None, None)
+    broken, nothing = camera.warnings
+    assert "000000.png is truncated or no PNG" in broken
+    assert nothing == "none of the frames looked at can be read: a replay would count nothing"
+
+
 def test_a_file_that_is_being_written_is_told_so(tmp_path: Path) -> None:
     path = tmp_path / "live.mcap"
     with McapFrameWriter(path) as writer:

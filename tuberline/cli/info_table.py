@@ -54,6 +54,10 @@ def _values(camera: CameraReport) -> tuple[str, ...]:
         f"{camera.duration_s:.1f} s",
         f"{camera.depth_scale_m * 1000:g} mm",
         f"{given}, {seen}",
-        "given" if camera.travel else "to be estimated",
-        f"{'yes' if camera.masks else 'no'}, {'yes' if camera.color else 'no'}",
+        _told(camera.travel, "given", "to be estimated"),
+        f"{_told(camera.masks, 'yes', 'no')}, {_told(camera.color, 'yes', 'no')}",
     )
+
+
+def _told(found: bool | None, yes: str, no: str) -> str:
+    return "?" if found is None else yes if found else no

@@ -233,7 +233,10 @@ def _row(path: Path, number: int, cells: list[str]) -> FrameRow:
         seq, captured_ns = int(cells[0]), int(cells[1])
         travel_m = float(cells[2]) if cells[2].strip() else None
     except ValueError as error:
-        raise InputError(f"{path} line {number}: {error}; seq and captured_ns are integers, travel_m metres") from error
+        raise InputError(
+            f"{path} line {number}: seq and captured_ns (nanoseconds) are whole numbers and travel_m metres or empty, "
+            f"got {cells}"
+        ) from error
     if not (0 <= seq <= MAX_COUNT and 0 <= captured_ns <= INT64_MAX and (travel_m is None or abs(travel_m) <= 1e7)):
         raise InputError(
             f"{path} line {number}: seq must be 0 to {MAX_COUNT}, captured_ns 0 to {INT64_MAX} and travel_m empty or "

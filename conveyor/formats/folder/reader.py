@@ -24,12 +24,19 @@ from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.formats.within import plain_name
 from conveyor.messages import Frame
 
+WITHOUT_MASKS = "; or ignore the masks (`replay --ignore-masks`, or ignore_masks in a line's file)"
+
 
 class FolderSource:
-    """Frames of one camera folder. Only depth is needed; masks and colour come along where they are."""
+    """Frames of one camera folder. Only depth is needed; masks and colour come along where they are.
 
-    def __init__(self, folder: Path) -> None:
+    Args:
+        masks: False leaves the folder's masks unread.
+    """
+
+    def __init__(self, folder: Path, *, masks: bool = True) -> None:
         self._folder = folder
+        self._masks = masks
         travel = travel_going_on(read_frame_rows(folder / "frames.csv"))
         self._rows = travel.rows
         described = describe(
@@ -46,7 +53,7 @@ class FolderSource:
                     f"frames.csv {what} at seq {', '.join(map(str, where[:5]))}{more}: it is taken to go on there at "
                     "the belt's usual speed"
                 )
-        notes += self._masks_left_out()
+        notes += self._masks_left_out() if masks else []
         self._description = replace(described, name=name, notes=tuple(notes))
         if not (folder / "depth").is_dir():
             raise InputError(f"{folder} has no folder 'depth' with the frames' 16-bit PNG files")
@@ -67,14 +74,18 @@ class FolderSource:
         return [FrameKey(row.seq, row.captured_ns) for row in self._rows]
 
     def _masks_left_out(self) -> list[str]:
-        """A note where there are masks and none is a frame's by its name: tubers are found as if there were none."""
+        """A note where there are masks, and frames without one of their name: tubers are found on depth there."""
         folder = self._folder / "mask"
-        names = (f"{row.seq:06d}.png" for row in self._rows)
-        if not folder.is_dir() or any((folder / name).is_file() for name in names):
+        files = sorted(path.name for path in folder.glob("[!.]*"))
+        there = set(files)
+        without = [name for row in self._rows if (name := f"{row.seq:06d}.png") not in there]
+        if not files or not without:
             return []
-        others = sorted(path.name for path in folder.glob("[!.]*"))
-        told = f"mask/ holds none that is called as its frame's depth ({self._rows[0].seq:06d}.png)"
-        return [f"{told}, but {others[0]!a}: tubers are found on depth, as without masks"] if others else []
+        if len(without) < len(self._rows):
+            told = f"mask/ lacks the masks of {len(without)} of {len(self._rows)} frames ({without[0]} is the first)"
+            return [f"{told}: tubers of these are found on depth, as without masks"]
+        told = f"mask/ holds none that is called as its frame's depth ({without[0]})"
+        return [f"{told}, but {files[0]!a}: tubers are found on depth, as without masks"]
 
     def _frame(self, row: FrameRow, run: str) -> Frame | Refused:
         path = self._folder / "depth" / f"{row.seq:06d}.png"
@@ -89,12 +100,12 @@ class FolderSource:
                 f"frame {row.seq}: {path} is {depth.shape[1]}x{depth.shape[0]}, camera.json says {k.width}x{k.height}",
             )
         mask_path = self._folder / "mask" / f"{row.seq:06d}.png"
-        mask = read_png16(mask_path) if mask_path.is_file() else None
+        mask = read_png16(mask_path) if self._masks and mask_path.is_file() else None
         if isinstance(mask, Refusal):
-            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} {mask.text}")
+            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} {mask.text}{WITHOUT_MASKS}")
         if mask is not None and mask.shape != depth.shape:
             size = f"{mask.shape[1]}x{mask.shape[0]}, its depth {depth.shape[1]}x{depth.shape[0]}"
-            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} is {size}")
+            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} is {size}{WITHOUT_MASKS}")
         d = self._description
         return Frame(
             camera=d.name,
