@@ -23,7 +23,8 @@ class BeltCalibration:
     """Where one camera's belt lies.
 
     Attributes:
-        frames: fitted ones; asked: frames looked at; unreadable: those before the last of them, by reason.
+        frames: fitted ones; asked: frames looked at; unreadable: those before the last of them, by reason;
+            first_fault: what was said of the first of those.
         belt_distance_m: along the optical axis; spread_mm: standard deviation of the single frames' distances.
         tilt_deg: between the optical axis and the belt's normal; residual_mm: RMS of the belt around the plane.
         belt_share: median share of the image that shows belt.
@@ -44,6 +45,7 @@ class BeltCalibration:
     given_distance_m: float | None
     disagreement_mm: float | None
     unreadable: dict[str, int]
+    first_fault: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -105,5 +107,6 @@ def calibrate_camera(
         given_distance_m=given_m,
         disagreement_mm=None if given_m is None else (middle.distance_m - given_m) * 1000,
         unreadable=dict(camera.unreadable),
+        first_fault=camera.first_fault,
     )
     return calibration, middle

@@ -70,6 +70,14 @@ class CameraFrames:
             raise InputError(f"{self.description.origin}: no frame can be read{first}")
 
 
+def told_unreadable(unreadable: Mapping[str, int], first_fault: str) -> str:
+    """Frames that were refused, by reason, and what the first of them said; empty where there are none."""
+    if not unreadable:
+        return ""
+    reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(unreadable.items()))
+    return f"frames that cannot be read: {reasons}; the first: {first_fault}"
+
+
 def line_names(recording: Path) -> list[str]:
     """The cameras of a recording, each of which can be a line's, for its name becomes part of topics, ids and files.
 

@@ -11,6 +11,7 @@ import numpy as np
 from conveyor.camera_range import CameraRange
 from conveyor.errors import InputError
 from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
+from conveyor.formats.scale_check import ScaleCheck
 from conveyor.formats.source import RecordedSource, Refused
 from conveyor.messages import Frame
 from segmenter.profile.profile import CameraProfile, OnFrame, profile_frames
@@ -21,11 +22,14 @@ FRAMES = 12
 
 @dataclass(frozen=True, slots=True)
 class ProfiledCamera:
-    """One camera: what was measured, and how it compares. `first`: the frame to draw, with depth."""
+    """One camera: what was measured, and how it compares. `first`: the frame to draw, with depth; `unread`: what was
+    said of frames that were to be looked at and cannot be used.
+    """
 
     profile: CameraProfile
     findings: tuple[Finding, ...]
     first: Frame
+    unread: tuple[str, ...] = ()
 
     @property
     def outside(self) -> tuple[Finding, ...]:
@@ -44,6 +48,7 @@ class ProfiledCamera:
             "camera": p.camera,
             "frames": p.frames,
             "blank_frames": p.blank,
+            "unread": list(self.unread),
             "width": p.width,
             "height": p.height,
             "depth_unit_mm": 1000 * p.depth_scale_m,
@@ -83,14 +88,17 @@ def profile_recording(
         on_frame: called with how many of a camera's frames are measured, and how many there are.
 
     Raises:
-        InputError: no recording, or a camera without a frame that can be read and has depth.
+        InputError: no recording, a camera without a frame that can be read and has depth, or one whose depth scale
+            contradicts its belt distance.
     """
     kind = recording_kind(path)
     result = []
     for name in camera_names(path):
-        taken = _spread(open_unchecked(path, kind, name), frames)
+        taken, unread = _spread(open_unchecked(path, kind, name, masks=False), frames, where=str(path))
         if not taken:
-            raise InputError(f"{path}, camera '{name}': none of its frames can be read (`tuberline info` says why)")
+            raise InputError(
+                f"{path}, camera '{name}': no frame can be read" + (f"; the first: {unread[0]}" if unread else "")
+            )
         seen = [frame for frame in taken if frame.depth.any()]
         if not seen:
             raise InputError(
@@ -98,17 +106,28 @@ def profile_recording(
                 "measured; look at its pictures (`tuberline watch`)"
             )
         profile = profile_frames(taken, baseline_m=baseline_m, on_frame=on_frame)
-        result.append(ProfiledCamera(profile, judge(profile, trained, belt_m=belt_m), seen[len(seen) // 2]))
+        findings = judge(profile, trained, belt_m=belt_m)
+        result.append(ProfiledCamera(profile, findings, seen[len(seen) // 2], tuple(unread)))
     return result
 
 
-def _spread(source: RecordedSource, count: int) -> list[Frame]:
+def _spread(source: RecordedSource, count: int, *, where: str) -> tuple[list[Frame], list[str]]:
+    """Frames spread over the recording, and what is said of those that cannot be used."""
     keys = source.keys()
-    if not keys:
-        return []
     at = np.unique(np.linspace(0, len(keys) - 1, min(count, len(keys))).astype(int))
-    items = [next(source.frames(run="profile", after=keys[i].seq - 1)) for i in at]
-    return [item for item in items if not isinstance(item, Refused)]
+    scale = ScaleCheck(where)
+    taken: list[Frame] = []
+    unread: list[str] = []
+    for i in at:
+        item = next(source.frames(run="profile", after=keys[i].seq - 1))
+        refused = item if isinstance(item, Refused) else scale.refusal(item)
+        if refused is not None:
+            unread.append(refused.text)
+        elif isinstance(item, Frame):
+            taken.append(item)
+    if scale.against is not None:
+        raise InputError(scale.against.text)
+    return taken, unread
 
 
 def _named(values: tuple[float, ...] | None, names: tuple[str, ...]) -> dict[str, float] | None:

@@ -19,11 +19,14 @@ from segmenter.warmup import warm_up
 
 @dataclass(frozen=True, slots=True)
 class CameraResult:
-    """What one camera's frames led to; `unreadable` are frames that the recording names but cannot give, by reason."""
+    """What one camera's frames led to; `unreadable` are frames that the recording names but cannot give, by reason, and
+    `first_fault` is what was said of the first of them.
+    """
 
     camera: str
     frames: int
     unreadable: dict[str, int]
+    first_fault: str
     tracks: tuple[Track, ...]
     discarded: dict[str, int]
     refused: dict[str, int]
@@ -85,6 +88,7 @@ def _camera(camera: CameraFrames, settings: Settings, target: Path | None, targe
         camera=camera.description.name,
         frames=frames,
         unreadable=dict(camera.unreadable),
+        first_fault=camera.first_fault,
         tracks=tuple(tracks),
         discarded={str(reason): n for reason, n in core.discarded.items()},
         refused={str(reason): n for reason, n in core.refused.items()},

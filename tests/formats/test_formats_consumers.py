@@ -11,6 +11,7 @@ import pytest
 
 from conveyor.errors import InputError
 from conveyor.formats import CameraDescription, describe_recording
+from conveyor.formats.cameras import told_unreadable
 from conveyor.formats.conversion import convert_recording
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.mcap import writer as mcap_writer
@@ -191,4 +192,8 @@ def test_a_folder_with_one_broken_frame_is_read_without_it(tmp_path: Path) -> No
     path.write_bytes(path.read_bytes()[:200])
     (calibration,) = calibrate_recording(root)
     assert (calibration.frames, calibration.unreadable) == (FRAMES - 1, {"broken_png": 1})
+    said = told_unreadable(calibration.unreadable, calibration.first_fault)
+    assert said.startswith("frames that cannot be read: 1 broken_png; the first: frame 3: ")
+    assert said.endswith("000003.png is truncated or no PNG; copy it again"), "`info` looks at eight frames"
+    assert CONSUMERS["segment"](root)[0].first_fault == calibration.first_fault
     assert CONSUMERS["evaluate-segmentation"](root).unreadable == {"broken_png": 1}

@@ -145,6 +145,18 @@ def test_a_belt_within_those_trained_for_is_inside(recording: Path, capsys: pyte
     assert "inside" in row
 
 
+def test_frames_that_cannot_be_used_are_told(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They were left out without a word, and with a depth unit that cannot be nothing that was seen was outside."""
+    (recording / "front" / "depth" / "000000.png").write_bytes(b"")
+    (recording / "front" / "mask").mkdir()
+    profile_command(recording)
+    assert "left out: frame 0: " in capsys.readouterr().out
+    told = recording / "front" / "camera.json"
+    told.write_text(told.read_text().replace('"depth_scale_m": 0.001', '"depth_scale_m": 0.0001'))
+    with pytest.raises(InputError, match=r"camera 'front', frame 1: .* should be 0\.001"):
+        profile_command(recording)
+
+
 def test_a_bare_belt_says_what_it_does_not_show(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without a tuber in sight nothing is known of outlines; it said that weights and intervals hold as stated."""
     files = sorted((recording / "front" / "depth").glob("*.png"))

@@ -88,7 +88,6 @@ def _table(results: Sequence[BeltCalibration], verdicts: Sequence[Verdict]) -> T
 
 
 def _unreadable(result: BeltCalibration) -> list[str]:
-    if not result.unreadable:
-        return []
-    reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.unreadable.items()))
-    return [f"frames that cannot be read: {reasons} (`tuberline info` says why)"]
+    from conveyor.formats.cameras import told_unreadable
+
+    return [text] if (text := told_unreadable(result.unreadable, result.first_fault)) else []

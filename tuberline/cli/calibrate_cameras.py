@@ -56,7 +56,7 @@ def calibrate_cameras(
     json
         Print what was measured as JSON on stdout, belt_from_camera included.
     """
-    from conveyor.formats.cameras import open_cameras
+    from conveyor.formats.cameras import open_cameras, told_unreadable
     from segmenter.calibrate_cameras import place_cameras, see_load
     from tuberline.cli.progress import work_bar
 
@@ -75,7 +75,8 @@ def calibrate_cameras(
 
         console = Console(stderr=True)
         console.print(_table(placed))
-        for text in _findings(placed):
+        unread = {camera.description.name: told_unreadable(camera.unreadable, camera.first_fault) for camera in cameras}
+        for text in (*(f"camera '{name}': {text}" for name, text in unread.items() if text), *_findings(placed)):
             console.print(text, markup=False, highlight=False, soft_wrap=True)
         sys.stdout.write("".join(_section(one) for one in placed if one.placed))
     if lost := [one.seen.camera for one in placed if not one.placed]:

@@ -97,6 +97,8 @@ def _print(camera: ProfiledCamera, model: str) -> None:
         table.add_row(finding.name, finding.measured, finding.trained, f"[{colour}]{finding.verdict}[/]")
     console = Console(highlight=False, soft_wrap=True)
     console.print(table)
+    for text in camera.unread:
+        console.print(f"left out: {text}", markup=False)
     by = {"given": "as given", "found": "found from its steps", "assumed": "assumed; give --baseline-mm"}[p.baseline_by]
     console.print(f"{p.width}x{p.height} in units of {unit}; px are of disparity, imagers {1000 * p.baseline_m:.1f} mm "
                   f"apart ({by})", markup=False)  # fmt: skip

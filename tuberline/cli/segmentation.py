@@ -168,8 +168,8 @@ def evaluate_segmentation(
 
 
 def _warn_of_unreadable(console: Console, results: Sequence[CameraResult]) -> None:
+    from conveyor.formats.cameras import told_unreadable
+
     for r in results:
-        if r.unreadable:
-            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(r.unreadable.items()))
-            text = f"warning: camera {r.camera}: frames that cannot be read: {reasons} (`tuberline info` says why)"
-            console.print(text, markup=False, highlight=False)
+        if text := told_unreadable(r.unreadable, r.first_fault):
+            console.print(f"warning: camera {r.camera}: {text}", markup=False, highlight=False, soft_wrap=True)
