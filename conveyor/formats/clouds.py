@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,8 @@ from conveyor.formats.numpy_files import numpy_fault
 from conveyor.formats.ply import MAX_POINTS, read_ply
 
 Points = NDArray[np.float64]
+DECIMAL_COMMAS = re.compile(r"(?=.*,)\s*(?:[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?(?:\s+|$)){3}")
+"""A line of three numbers, one with a comma at least, that blanks part."""
 
 
 def read_cloud(path: Path) -> Points:
@@ -65,14 +68,19 @@ def _read_numpy(path: Path) -> Points:
 
 
 def _read_xyz(path: Path) -> Points:
-    """Lines of x y z and whatever follows, parted by blanks, commas or semicolons; '#' and '//' begin remarks."""
+    """Lines of x y z and whatever follows, parted by blanks, commas or semicolons; "#" and "//" begin remarks. Commas
+    are decimal ones where blanks or semicolons part the first line.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cloud {path} is no text of points: {error}") from error
-    lines = text.replace(",", " ").replace(";", " ").replace("//", "#").splitlines()
+    lines = text.replace(";", " ").replace("//", "#").splitlines()
     if lines and not any(character.isdigit() for character in lines[0]):
         lines = lines[1:]  # names of columns
+    first = next((line for line in lines if line.partition("#")[0].strip()), "")
+    comma = "." if DECIMAL_COMMAS.match(first) else " "
+    lines = [line.replace(",", comma) for line in lines]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a file without lines; it has no points
         try:

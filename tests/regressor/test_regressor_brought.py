@@ -46,6 +46,11 @@ def pcd(path: Path, encoding: Encoding) -> None:
     PointCloud.from_xyz_points(with_gap).save(path, encoding)
 
 
+def german(path: Path) -> None:
+    np.savetxt(path, POINTS)
+    path.write_text(path.read_text(encoding="utf-8").replace(".", ","), encoding="utf-8")
+
+
 WRITERS = {
     "a.las": las,
     "a.laz": las,
@@ -54,6 +59,7 @@ WRITERS = {
     "packed.pcd": lambda path: pcd(path, Encoding.BINARY_COMPRESSED),
     "plain.xyz": lambda path: np.savetxt(path, POINTS),
     "named.xyz": lambda path: np.savetxt(path, POINTS, delimiter=",", header="X,Y,Z", comments="//"),
+    "german.xyz": german,
     "coloured.xyz": lambda path: np.savetxt(path, np.hstack([POINTS, 255 * np.ones((3, 3))]), delimiter=";"),
 }
 
