@@ -36,6 +36,7 @@ MODULES: Mapping[str, tuple[str, ...]] = {
 """What nodes of a role load before they work. Other roles begin with what these share."""
 COMPILED = ("regressor", "segmenter")
 """Roles that run kernels."""
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 ANSWER_WITHIN_S = 60.0
 """A disk may be slow while modules are read; a process that says nothing for longer is taken for lost."""
@@ -240,11 +241,15 @@ def load(role: str) -> None:
 
 
 def forked(question: Mapping[str, Any]) -> dict[str, Any]:
-    """Fork a node: the answer for the supervisor, and in the node a process id of 0."""
+    """Fork a node: the answer for the supervisor, and in the node a process id of 0.
+
+    A signal for the node waits until it no longer has this process's ways with signals, which would lose it.
+    """
     load(question["args"][0])
     gc.freeze()  # what is there stays: to look through it would copy the pages that all share
     server = os.getpid()
     with ExitStack() as stack:
+        stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING))
         try:
             log = stack.enter_context(Path(question["log"]).open("ab")) if question["log"] else None
             pid = os.fork()
