@@ -42,17 +42,18 @@ class Scene:
     noise_m: float = 0.0
     holes: float = 0.0
     seed: int = 0
-    _rays: NDArray[np.float64] = field(init=False)
+    _x: NDArray[np.float64] = field(init=False)
+    _y: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:
-        k, m = self.intrinsics, self.belt_from_camera
-        u, v = np.meshgrid(np.arange(k.width), np.arange(k.height))
-        self._rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1) @ m[:3, :3].T
+        k = self.intrinsics
+        self._x, self._y = (np.arange(k.width) - k.cx) / k.fx, (np.arange(k.height)[:, None] - k.cy) / k.fy
 
     def render(self, travel_m: float, index: int = 0) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
         """((H, W) uint16 depth in units of `scale_m`, (H, W) uint16 labels: body number + 1) at a belt travel."""
-        rays, origin = self._rays, self.belt_from_camera[:3, 3]
-        z = -origin[2] / rays[..., 2]
+        belt_from_camera, origin = self.belt_from_camera[:3, :3], self.belt_from_camera[:3, 3]
+        right, down, ahead = belt_from_camera[2]
+        z = -origin[2] / (right * self._x + down * self._y + ahead)
         labels = np.zeros(z.shape, np.uint16)
         for number, body in enumerate(self.bodies, start=1):
             centre = np.array([body.place_x_m + travel_m, body.y_m, body.c_m])
@@ -64,14 +65,19 @@ class Scene:
             turn = np.array(
                 [[np.cos(body.yaw), np.sin(body.yaw), 0], [-np.sin(body.yaw), np.cos(body.yaw), 0], [0, 0, 1]]
             ) / np.array([[body.a_m], [body.b_m], [body.c_m]])
-            d, o = rays[near] @ turn.T, turn @ (origin - centre)
-            qa, qb, qc = (d * d).sum(-1), (d * o).sum(-1), (o * o).sum() - 1
-            root = qb * qb - qa * qc
-            hit = root > 0
-            depth = np.where(hit, (-qb - np.sqrt(np.maximum(root, 0))) / qa, np.inf)
-            closer = depth < z[near]
-            z[near] = np.where(closer, depth, z[near])
-            labels[near] = np.where(closer, number, labels[near])
+            # A ray is x * right + y * down + ahead, here where the body is a ball of radius 1: its depth is the near
+            # root of qa z^2 + 2 qb z + qc, whose products are those of three vectors and not of each pixel's.
+            axes, o = turn @ belt_from_camera, turn @ (origin - centre)
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = axes.T @ axes
+            x, y = self._x[near[1]], self._y[near[0]]
+            qa = (xx * x + 2 * xz) * x + ((yy * y + 2 * yz) * y + zz) + (2 * xy * y) * x
+            right, down, ahead = o @ axes
+            qb = right * x + (down * y + ahead)
+            root = qb * qb - qa * (o @ o - 1)
+            depth = (-qb - np.sqrt(np.maximum(root, 0))) / qa
+            closer = (root > 0) & (depth < z[near])
+            np.copyto(z[near], depth, where=closer)
+            labels[near][closer] = number
         rng = np.random.default_rng([self.seed, index])
         if self.noise_m:
             z = z + rng.normal(0, self.noise_m, z.shape)

@@ -21,21 +21,22 @@ from segmenter.pipeline import ClosedTrack, Segmenter, Settings
 STEP_M = 0.03
 FRAMES = 66
 
+Belt = list[tuple[Frame, NDArray[np.uint8]]]
+"""Its frames, each with where tubers are in it."""
 
-def worn(scene: Scene, seq: int, px: float, *, travel_share: float = 1.0) -> Frame:
-    """A frame whose tubers' outlines were moved out by `px` pixels, or in where it is below 0."""
-    frame = scene.frame(seq, seq * STEP_M)
-    depth, labels = scene.render(seq * STEP_M, seq)
-    body = (labels > 0).astype(np.uint8)
+
+def worn(frame: Frame, body: NDArray[np.uint8], px: float) -> Frame:
+    """The frame with its tubers' outlines moved out by `px` pixels, or in where it is below 0."""
+    depth = frame.depth
     if px > 0:
         away, nearest = cv2.distanceTransformWithLabels(1 - body, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
         of = np.zeros(int(nearest.max()) + 1, np.uint16)
         of[nearest[body > 0]] = depth[body > 0]
         depth = np.where((body == 0) & (away <= px), of[nearest], depth)
-    elif px < 0:
+    else:
         inside = cv2.distanceTransform(body, cv2.DIST_L2, 5)
         depth = np.where((body > 0) & (inside <= -px), 0, depth)
-    return replace(frame, depth=depth.astype(np.uint16), travel_m=seq * STEP_M * travel_share)
+    return replace(frame, depth=depth.astype(np.uint16))
 
 
 def run(frames: Iterable[Frame]) -> tuple[Segmenter, list[ClosedTrack], OutlineReading]:
@@ -53,13 +54,22 @@ def seen_px(closed: list[ClosedTrack]) -> dict[float, int]:
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return Scene([replace(b, place_x_m=2 * b.place_x_m) for b in scattered(15, seed=4)], MEDIUM, noise_m=0.0003)
+def belt() -> Belt:
+    scene = Scene([replace(b, place_x_m=2 * b.place_x_m) for b in scattered(15, seed=4)], MEDIUM, noise_m=0.0003)
+    clear = replace(scene, noise_m=0.0)
+    return [
+        (scene.frame(seq, seq * STEP_M), (clear.render(seq * STEP_M)[1] > 0).astype(np.uint8)) for seq in range(FRAMES)
+    ]
 
 
 @pytest.fixture(scope="module")
-def clean(scene: Scene) -> tuple[Segmenter, list[ClosedTrack], OutlineReading]:
-    return run(worn(scene, i, 0) for i in range(FRAMES))
+def clean(belt: Belt) -> tuple[Segmenter, list[ClosedTrack], OutlineReading]:
+    return run(frame for frame, _ in belt)
+
+
+@pytest.fixture(scope="module")
+def grown(belt: Belt) -> list[Frame]:
+    return [worn(frame, body, 3) for frame, body in belt]
 
 
 def test_outlines_as_they_are_stay_as_they_are(clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]) -> None:
@@ -73,9 +83,9 @@ def test_outlines_as_they_are_stay_as_they_are(clean: tuple[Segmenter, list[Clos
 
 
 def test_outlines_that_grow_are_measured_told_and_cut_back(
-    scene: Scene, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]
+    grown: list[Frame], clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]
 ) -> None:
-    core, closed, reading = run(worn(scene, i, 3) for i in range(FRAMES))
+    core, closed, reading = run(grown)
     assert reading.lost_px == pytest.approx(clean[2].lost_px - 3, abs=0.5)
     assert reading.grown_px == pytest.approx(-reading.lost_px, abs=0.3)
     assert f"outlines are {reading.grown_px:.1f} px larger" in belt_findings("front", core.gauges())["outline_grown_px"]
@@ -84,21 +94,21 @@ def test_outlines_that_grow_are_measured_told_and_cut_back(
     assert not flagged[0]
     assert flagged[-1]
     as_they_are, cut = seen_px(clean[1]), seen_px([c for c in closed if OUTLINE_GROWN in c.track.flags])
-    grown = seen_px([c for c in closed if OUTLINE_GROWN not in c.track.flags])
+    uncut = seen_px([c for c in closed if OUTLINE_GROWN not in c.track.flags])
     assert all(n == pytest.approx(as_they_are[place], rel=0.06) for place, n in cut.items())
-    assert all(n > 1.08 * as_they_are[place] for place, n in grown.items())
+    assert all(n > 1.08 * as_they_are[place] for place, n in uncut.items())
 
 
 def test_outlines_that_are_lost_are_measured_and_left(
-    scene: Scene, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]
+    belt: Belt, clean: tuple[Segmenter, list[ClosedTrack], OutlineReading]
 ) -> None:
-    core, _, reading = run(worn(scene, i, -1) for i in range(FRAMES))
+    core, _, reading = run(worn(frame, body, -1) for frame, body in belt)
     assert reading.lost_px == pytest.approx(clean[2].lost_px + 1, abs=0.4)
     assert core.gauges()["outline_grown_px"] == 0
 
 
-def test_a_travel_that_disagrees_with_the_distances_is_no_outline(scene: Scene) -> None:
-    core, _, reading = run(worn(scene, i, 0, travel_share=0.97) for i in range(FRAMES))
+def test_a_travel_that_disagrees_with_the_distances_is_no_outline(belt: Belt) -> None:
+    core, _, reading = run(replace(frame, travel_m=0.97 * STEP_M * frame.seq) for frame, _ in belt)
     assert reading.farther == pytest.approx(0.03, abs=0.006)
     assert abs(reading.lost_px) < 1.0
     assert reading.grown_px == 0
@@ -106,8 +116,8 @@ def test_a_travel_that_disagrees_with_the_distances_is_no_outline(scene: Scene) 
     assert told in belt_findings("front", core.gauges())["farther_than_travel"]
 
 
-def test_a_belt_without_an_encoder_says_the_same_of_its_outlines(scene: Scene) -> None:
-    _, _, reading = run(replace(worn(scene, i, 3), travel_m=None) for i in range(FRAMES))
+def test_a_belt_without_an_encoder_says_the_same_of_its_outlines(grown: list[Frame]) -> None:
+    _, _, reading = run(replace(frame, travel_m=None) for frame in grown)
     assert reading.grown_px == pytest.approx(3, abs=0.6)
     assert abs(reading.farther) < 0.01
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -28,13 +29,19 @@ def watched(frames: Iterable[Frame]) -> tuple[Segmenter, dict[str, float]]:
     return core, watch.gauges()
 
 
-def scene(**changes: object) -> Scene:
-    return Scene(scattered(15, seed=3), SMALL, noise_m=0.001, **changes)  # type: ignore[arg-type]
+SCENE = Scene(scattered(15, seed=3), SMALL, noise_m=0.001)
+
+
+@functools.cache
+def seen(number: int, *, tubers: int = 15, seed: int = 3) -> Frame:
+    """Of a belt that runs as its encoder says; many tests look at the same frames."""
+    scene = Scene(scattered(tubers, seed=seed), SMALL, noise_m=0.001)
+    return scene.frame(number, number * STEP_M)
 
 
 def test_a_calibrated_belt_raises_nothing() -> None:
     for encoder in (True, False):
-        _, levels = watched(scene().frame(i, i * STEP_M, encoder=encoder) for i in range(40))
+        _, levels = watched(seen(i) if encoder else replace(seen(i), travel_m=None) for i in range(40))
         assert belt_findings("front", levels) == {}
         assert abs(levels["belt_drift_mm"]) < 1
         assert levels["belt_tilt_off_deg"] < 0.3
@@ -43,7 +50,7 @@ def test_a_calibrated_belt_raises_nothing() -> None:
 @pytest.mark.parametrize(("given_m", "drift_mm", "word"), [(0.475, -15, "nearer"), (0.445, 15, "farther")])
 def test_a_belt_distance_wrong_by_15_mm_is_said_with_the_number(given_m: float, drift_mm: float, word: str) -> None:
     wrong = straight_down_belt_from_camera(given_m)
-    _, levels = watched(replace(scene().frame(i, i * STEP_M), belt_from_camera=wrong) for i in range(35))
+    _, levels = watched(replace(seen(i), belt_from_camera=wrong) for i in range(35))
     assert levels["belt_alarm"] == 1
     assert levels["belt_drift_mm"] == pytest.approx(drift_mm, abs=1)
     text = belt_findings("front", levels)["belt_alarm"]
@@ -52,7 +59,7 @@ def test_a_belt_distance_wrong_by_15_mm_is_said_with_the_number(given_m: float, 
 
 def test_a_tilt_wrong_by_2_degrees_is_said_though_the_distance_is_right() -> None:
     wrong = tilted(0.46, 2)
-    _, levels = watched(replace(scene().frame(i, i * STEP_M), belt_from_camera=wrong) for i in range(35))
+    _, levels = watched(replace(seen(i), belt_from_camera=wrong) for i in range(35))
     assert levels["belt_alarm"] == 1
     assert abs(levels["belt_drift_mm"]) < 3
     assert levels["belt_tilt_off_deg"] == pytest.approx(2, abs=0.3)
@@ -60,7 +67,7 @@ def test_a_tilt_wrong_by_2_degrees_is_said_though_the_distance_is_right() -> Non
 
 def test_a_distance_25_mm_off_with_load_at_the_given_height_is_no_silence() -> None:
     """It was refused only where nothing lay at the height given, and else nothing was said at all."""
-    depth, _ = scene().render(0.2)
+    depth, _ = SCENE.render(0.2)
     fit = fit_plane(depth, depth_scale_m=0.001, intrinsics=SMALL)
     given = straight_down_belt_from_camera(0.435)
     check = check_belt(given, fit, given_share=0.1, camera="front", depth_scale_m=0.001)
@@ -89,10 +96,9 @@ def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_corrected(encode
 @pytest.mark.parametrize("turned_deg", [7.0, -12.0, 25.0])
 def test_a_camera_that_is_turned_against_its_pose_is_said(encoder: bool, turned_deg: float) -> None:
     """From 10 degrees on half of the tubers were counted twice, and nothing was said."""
-    true = Scene(scattered(30, seed=3), SMALL, noise_m=0.001)
     said = CameraPlace(turned_deg=turned_deg).straight_down(0.46)
-    frames = (replace(true.frame(i, i * STEP_M, encoder=encoder), belt_from_camera=said) for i in range(60))
-    _, levels = watched(frames)
+    frames = (replace(seen(i, tubers=30), belt_from_camera=said) for i in range(60))
+    _, levels = watched(frame if encoder else replace(frame, travel_m=None) for frame in frames)
     assert levels["belt_turned"] == 1
     assert levels["belt_turned_deg"] == pytest.approx(turned_deg, abs=0.7)
     assert (levels["belt_backwards"], levels["encoder_off"]) == (0, 0)
@@ -102,20 +108,17 @@ def test_a_camera_that_is_turned_against_its_pose_is_said(encoder: bool, turned_
 
 @pytest.mark.parametrize("turned_deg", [0.0, 3.5, -3.5])
 def test_a_camera_that_is_turned_as_hands_turn_it_counts_and_is_no_finding(turned_deg: float) -> None:
-    bodies = scattered(30, seed=4)
     said = CameraPlace(turned_deg=turned_deg).straight_down(0.46)
-    true = Scene(bodies, SMALL, noise_m=0.001)
-    core, levels = watched(replace(true.frame(i, i * STEP_M), belt_from_camera=said) for i in range(140))
+    core, levels = watched(replace(seen(i, tubers=30, seed=4), belt_from_camera=said) for i in range(140))
     core.finish()
     assert belt_findings("front", levels) == {}
     assert levels["belt_turned_deg"] == pytest.approx(turned_deg, abs=0.7)
-    assert core.counted == len(bodies)
+    assert core.counted == 30
 
 
 def test_a_belt_that_runs_the_other_way_from_bare_to_loaded_has_no_negative_metres() -> None:
     """Before the load told its speed, belt passed unseen: told backwards, it ended the process with each mark."""
-    true = scene()
-    frames = (true.frame(i, 0.9 - i * STEP_M, encoder=False) for i in range(70))
+    frames = (SCENE.frame(i, 0.9 - i * STEP_M, encoder=False) for i in range(70))
     core, levels = watched(frames)
     assert core.travel_m < -0.4
     assert levels["belt_backwards"] == 1
@@ -125,14 +128,14 @@ def test_a_belt_that_runs_the_other_way_from_bare_to_loaded_has_no_negative_metr
 
 def test_a_belt_that_backs_up_a_little_is_no_finding() -> None:
     travels = np.cumsum([0.0] + [STEP_M] * 20 + [-0.005] * 20 + [STEP_M] * 20)
-    _, levels = watched(scene().frame(i, float(t)) for i, t in enumerate(travels))
+    _, levels = watched(SCENE.frame(i, float(t)) for i, t in enumerate(travels))
     assert levels["belt_backwards"] == 0
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.8, 1.25, 3.28, 100.0, 1000.0])
 def test_an_encoder_that_tells_another_travel_is_said_with_both_numbers(share: float) -> None:
     """One that stood still lost all tubers, one in millimetres counted each sixteen times, and nothing was said."""
-    _, levels = watched(replace(scene().frame(i, i * STEP_M), travel_m=share * i * STEP_M) for i in range(40))
+    _, levels = watched(replace(seen(i), travel_m=share * i * STEP_M) for i in range(40))
     assert levels["encoder_off"] == 1
     assert levels["encoder_told_m"] == pytest.approx(share * levels["encoder_seen_m"], rel=0.02)
     text = belt_findings("front", levels)["encoder_off"]
@@ -141,7 +144,7 @@ def test_an_encoder_that_tells_another_travel_is_said_with_both_numbers(share: f
 
 @pytest.mark.parametrize("share", [0.95, 1.0, 1.05])
 def test_an_encoder_that_is_off_by_less_than_a_count_shows_is_no_finding(share: float) -> None:
-    _, levels = watched(replace(scene().frame(i, i * STEP_M), travel_m=share * i * STEP_M) for i in range(40))
+    _, levels = watched(replace(seen(i), travel_m=share * i * STEP_M) for i in range(40))
     assert levels["encoder_off"] == 0
 
 
@@ -150,7 +153,7 @@ def test_travel_that_is_told_in_coarse_steps_is_said_with_the_step(coarse_mm: in
     """Rounded to 50 mm, 27 of 24 tubers were counted, and nothing was said."""
     coarse_m = coarse_mm / 1000
     travels = (round(i * STEP_M / coarse_m) * coarse_m for i in range(60))
-    _, levels = watched(replace(scene().frame(i, i * STEP_M), travel_m=told_m) for i, told_m in enumerate(travels))
+    _, levels = watched(replace(seen(i), travel_m=told_m) for i, told_m in enumerate(travels))
     found = belt_findings("front", levels)
     assert list(found) == ["encoder_coarse_m"] * told
     assert not told or f"travel is told in steps of {coarse_mm} mm" in found["encoder_coarse_m"]
@@ -158,7 +161,7 @@ def test_travel_that_is_told_in_coarse_steps_is_said_with_the_step(coarse_mm: in
 
 def test_a_fast_belt_that_runs_the_other_way_is_said_too() -> None:
     """Of steps longer than 30 mm nothing was said."""
-    frames = (scene().frame(i, 0.6 - i * 0.04) for i in range(28))
+    frames = (SCENE.frame(i, 0.6 - i * 0.04) for i in range(28))
     _, levels = watched(replace(frame, travel_m=0.04 * frame.seq) for frame in frames)
     assert levels["belt_backwards"] == 1
     assert levels["encoder_off"] == 0
@@ -173,5 +176,5 @@ def test_a_belt_that_runs_the_other_way_is_said_where_one_tuber_lies_at_a_time()
 
 def test_the_load_stands_when_the_encoder_stands() -> None:
     travels = np.cumsum([0.0] + [STEP_M] * 15 + [0.0] * 15 + [STEP_M / 3] * 15)
-    _, levels = watched(scene().frame(i, float(t)) for i, t in enumerate(travels))
+    _, levels = watched(SCENE.frame(i, float(t)) for i, t in enumerate(travels))
     assert belt_findings("front", levels) == {}
