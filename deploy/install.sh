@@ -121,8 +121,7 @@ put() {
     fi
     verb=created
     [ ! -e "$target" ] || verb=updated
-    mkdir -p "$(dirname "$target")"
-    install -m "$3" "$1" "$target.part"
+    install -D -m "$3" "$1" "$target.part"
     sync "$target.part"
     mv -f "$target.part" "$target"
     changed=yes
