@@ -29,9 +29,11 @@ pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is 
 def install(
     destdir: Path, *options: str, config: Path | None = None, **environment: str
 ) -> subprocess.CompletedProcess[str]:
+    # A python3 of the path may be a script that looks for one, with a hundred processes more.
+    path = f"{TUBERLINE.parent}{os.pathsep}{os.environ['PATH']}"
     return subprocess.run(
         [str(DEPLOY / "install.sh"), *options, str(config or DEPLOY / "examples" / "site.toml")],
-        env={**os.environ, "DESTDIR": str(destdir), "TUBERLINE": str(TUBERLINE), **environment},
+        env={**os.environ, "PATH": path, "DESTDIR": str(destdir), "TUBERLINE": str(TUBERLINE), **environment},
         capture_output=True,
         text=True,
         check=False,

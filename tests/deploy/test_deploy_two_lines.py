@@ -105,6 +105,18 @@ GNSS = '[gnss]\nsource = "serial:/dev/{port}?baud=9600"\n'
 ENCODER = '[encoder]\nsource = "serial:/dev/{port}"\nmetres_per_pulse = 0.0005\n'
 
 
+@pytest.fixture(scope="module")
+def west(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A root with line west installed, which reads two ports. No test writes to it."""
+    folder = tmp_path_factory.mktemp("west")
+    config = line(folder, "west", port=7447)
+    config.write_text(config.read_text() + ENCODER.format(port="ttyACM0") + GNSS.format(port="ttyACM1"))
+    assert install(folder / "root", "--roles", "encoder,gnss", config=config).returncode == 0
+    (folder / "root/dev/serial/by-id").mkdir(parents=True)
+    (folder / "root/dev/serial/by-id/usb-1").symlink_to("../../ttyACM0")
+    return folder / "root"
+
+
 @pytest.mark.parametrize(
     ("section", "roles", "port", "said"),
     [
@@ -117,13 +129,11 @@ ENCODER = '[encoder]\nsource = "serial:/dev/{port}"\nmetres_per_pulse = 0.0005\n
         (ENCODER.replace("serial", "counter"), "encoder", "ttyACM0", ""),
     ],
 )
-def test_two_lines_do_not_read_one_serial_port(tmp_path: Path, section: str, roles: str, port: str, said: str) -> None:
+def test_two_lines_do_not_read_one_serial_port(
+    tmp_path: Path, west: Path, section: str, roles: str, port: str, said: str
+) -> None:
     """Each would get a part of what the device sends. A link of udev's is the port that it leads to."""
-    root, west = tmp_path / "root", line(tmp_path, "west", port=7447)
-    (root / "dev/serial/by-id").mkdir(parents=True)
-    (root / "dev/serial/by-id/usb-1").symlink_to("../../ttyACM0")
-    west.write_text(west.read_text() + ENCODER.format(port="ttyACM0") + GNSS.format(port="ttyACM1"))
-    assert install(root, "--roles", "encoder,gnss", config=west).returncode == 0
+    root = Path(shutil.copytree(west, tmp_path / "root", symlinks=True))
     south = line(tmp_path, "south", port=7448)
     south.write_text(south.read_text() + section.format(port=port))
     before, done = contents(root), install(root, "--roles", roles, config=south)
