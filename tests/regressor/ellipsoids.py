@@ -29,6 +29,19 @@ def ellipsoid_depth_m(
     The camera looks down from `belt_distance_m` above the belt, turned by `tilt_deg` about its x axis.
     """
     out = np.zeros((intrinsics.height, intrinsics.width))
+    rows, columns, depth_m = _window(half_axes_m, belt_distance_m, centre_m, tilt_deg, intrinsics)
+    out[rows, columns] = depth_m
+    return out
+
+
+def _window(
+    half_axes_m: tuple[float, float, float],
+    belt_distance_m: float,
+    centre_m: tuple[float, float],
+    tilt_deg: float,
+    intrinsics: Intrinsics,
+) -> tuple[slice, slice, NDArray[np.float64]]:
+    """Rows and columns of the image that hold the tuber, and its depth there as `ellipsoid_depth_m` has it."""
     # Only a window around the tuber is computed: generously, as a tilted camera sees it elsewhere.
     reach = int(1.6 * intrinsics.fx * max(half_axes_m) / (belt_distance_m - 2 * half_axes_m[2])) + 8
     middle = tilt_matrix(tilt_deg) @ [*centre_m, belt_distance_m]
@@ -36,15 +49,17 @@ def ellipsoid_depth_m(
     column = int(intrinsics.cx + intrinsics.fx * middle[0] / middle[2])
     rows = slice(max(0, row - reach), min(intrinsics.height, row + reach))
     columns = slice(max(0, column - reach), min(intrinsics.width, column + reach))
-    v, u = np.mgrid[rows, columns]
-    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], -1)
-    level = rays @ tilt_matrix(tilt_deg)
+    # A level ray: one number of each column, and two of each row.
+    across = (np.arange(columns.start, columns.stop) - intrinsics.cx) / intrinsics.fx / half_axes_m[0]
+    image_y = (np.arange(rows.start, rows.stop)[:, None] - intrinsics.cy) / intrinsics.fy
+    _, (_, along_y, ahead_y), (_, along, ahead) = tilt_matrix(tilt_deg)
+    along, ahead = (image_y * along_y + along) / half_axes_m[1], (image_y * ahead_y + ahead) / half_axes_m[2]
     centre = np.array([*centre_m, belt_distance_m - half_axes_m[2]])
-    scaled, offset = level / half_axes_m, centre / half_axes_m
-    a, b, c = (scaled**2).sum(-1), (scaled * offset).sum(-1), (offset**2).sum() - 1
+    offset = centre / half_axes_m
+    a = across**2 + along**2 + ahead**2
+    b, c = across * offset[0] + along * offset[1] + ahead * offset[2], (offset**2).sum() - 1
     root = b * b - a * c
-    out[rows, columns] = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0.0)
-    return out
+    return rows, columns, np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0.0)
 
 
 def upper_side(belt_distance_m: float) -> NDArray[np.float64]:
@@ -71,10 +86,8 @@ def ellipsoid_view(
     name: str = "view/0",
 ) -> View:
     """A view as the segmenter sends it: the crop inside the mask."""
-    depth = np.round(
-        ellipsoid_depth_m(half_axes_m, belt_distance_m=belt_distance_m, centre_m=centre_m, tilt_deg=tilt_deg)
-        / depth_scale_m
-    ).astype(np.uint16)
+    below, right, depth_m = _window(half_axes_m, belt_distance_m, centre_m, tilt_deg, D405)
+    depth = np.round(depth_m / depth_scale_m).astype(np.uint16)
     rows, columns = np.nonzero(depth.any(1))[0], np.nonzero(depth.any(0))[0]
     belt_from_camera = straight_down_belt_from_camera(belt_distance_m)
     belt_from_camera[:3, :3] = belt_from_camera[:3, :3] @ tilt_matrix(tilt_deg).T
@@ -88,8 +101,8 @@ def ellipsoid_view(
         rank=0,
         depth_scale_m=depth_scale_m,
         intrinsics=D405,
-        u0=int(columns[0]),
-        v0=int(rows[0]),
+        u0=right.start + int(columns[0]),
+        v0=below.start + int(rows[0]),
         depth=depth[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
         belt_from_camera=belt_from_camera,
         takes=LATER_PARTS,
