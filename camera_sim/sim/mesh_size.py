@@ -8,6 +8,8 @@ the body's extent along n: the direction of passing is u x v, and only the conve
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
@@ -73,6 +75,7 @@ def _refined(hull: Vertices, frame: Vertices) -> float:
     return here
 
 
+@cache
 def _turns(angle: float) -> NDArray[np.float64]:
     """(26, 3, 3) rotations by `angle` about every sum of the three axes and their opposites."""
     steps = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float)
