@@ -14,7 +14,7 @@ from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.source import CameraDescription
 
 DISTANCE_M, FPS, STEP_M = 0.46, 15.0, 0.02
-BELT_M, LEAST_APART_M = 1.1, 0.10
+BELT_M, LEAST_APART_M = 0.7, 0.10
 PLACES = {"left": CameraPlace(0.0, -0.22, 4.0), "right": CameraPlace(0.03, 0.25, 178.0)}
 
 

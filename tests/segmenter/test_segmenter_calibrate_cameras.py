@@ -16,7 +16,6 @@ from conveyor.config import load_config
 from conveyor.errors import InputError
 from conveyor.formats import open_source
 from tests.belts import replay
-from tests.belts import tuberline as command
 from tuberline.cli.calibrate_cameras import calibrate_cameras
 from tuberline.places import belt_in, places_in
 
@@ -55,7 +54,7 @@ def test_two_cameras_are_placed_and_a_line_counts_by_it(
     assert abs(turned_deg - true[2]) < 0.6
     assert sections["right"].belt_distance_m == pytest.approx(0.46, abs=0.0005)
 
-    summary = replay(recording, tmp_path / "run", "--places", str(file), "--fast")
+    summary = replay(recording, tmp_path / "run", "--places", str(file), "--fast", "--regressors", "1")
     seen = sum(abs(body.y_m + 0.22) < 0.4 or abs(body.y_m - 0.25) < 0.4 for body in belt(SEED))
     assert summary["totals"]["count"] == seen == len(belt(SEED))
     (apart,) = summary["totals"]["apart"]
@@ -89,14 +88,17 @@ def test_without_an_encoder_the_clocks_lay_the_cameras_side_by_side(
     assert right["across_m"] - left["across_m"] == pytest.approx(true[1], abs=0.004)
 
 
-def test_cameras_that_share_no_tubers_are_told_and_the_others_printed(tmp_path: Path) -> None:
+def test_cameras_that_share_no_tubers_are_told_and_the_others_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     apart = {"left": CameraPlace(0.0, -0.7), "right": CameraPlace(0.0, 0.7)}
     record(tmp_path / "belt", belt(SEED + 2, half_width_m=1.1), places=apart)
-    done = command("calibrate", "cameras", tmp_path / "belt", check=False)
-    assert done.returncode == 2
-    assert "camera right shares too few tubers with the others" in done.stderr
-    assert "[cameras.left]" in done.stdout
-    assert "[cameras.right]" not in done.stdout
+    with pytest.raises(InputError, match="camera right shares too few tubers with the others") as refused:
+        calibrate_cameras(tmp_path / "belt")
+    assert refused.value.exit_code == 2
+    out = capsys.readouterr().out
+    assert "[cameras.left]" in out
+    assert "[cameras.right]" not in out
 
 
 def test_a_bare_belt_says_nothing_of_its_direction(tmp_path: Path) -> None:
