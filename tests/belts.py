@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import json
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,21 @@ def tuberline(*args: str | Path, check: bool = True, timeout_s: float = 170) -> 
     if check and done.returncode != 0:
         pytest.fail(f"tuberline {args} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}")
     return done
+
+
+def here(*args: str | Path) -> subprocess.CompletedProcess[str]:
+    """The same in this process, which has the modules that a new one would load: where what is told is tested, and not
+    how a process starts or ends.
+    """
+    from tuberline.cli import build_app
+
+    words, out, code = [*map(str, args)], io.StringIO(), 0
+    with redirect_stdout(out):
+        try:
+            build_app()(words)
+        except SystemExit as done:
+            code = int(done.code or 0)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), "")
 
 
 def replay(recording: Path, out: Path, *options: str) -> dict[str, Any]:

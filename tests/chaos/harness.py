@@ -18,7 +18,7 @@ import pytest
 
 from conveyor.config import LineConfig, dump_toml
 from conveyor.observer import Observer
-from tests.belts import tuberline
+from tests.belts import here
 from tuberline.processes import line_processes
 from tuberline.replayer import fingerprint, prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import ProcessSpec, Supervisor
@@ -231,7 +231,7 @@ def live_run(
 @cache
 def canonical(out: Path) -> str:
     """The canonical export of a finished run's ledger; asked for once."""
-    return tuberline("ledger", "export", out / "ledger.db", "--canonical").stdout
+    return here("ledger", "export", out / "ledger.db", "--canonical").stdout
 
 
 def inject(faults: Sequence[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

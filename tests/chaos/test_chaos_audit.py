@@ -11,7 +11,7 @@ import pytest
 
 from aggregator.ledger.schema import ENTRY, checksum
 from conveyor.messages import TrackEntry
-from tests.belts import tuberline
+from tests.belts import here, tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 
@@ -33,7 +33,7 @@ def falsify(run: Path, *statements: str) -> None:
 
 
 def test_an_untouched_run_passes(copy: Path) -> None:
-    assert tuberline("audit", copy).returncode == 0
+    assert here("audit", copy).returncode == 0
 
 
 def test_a_tuber_taken_out_is_missed(copy: Path) -> None:
@@ -45,7 +45,7 @@ def test_a_tuber_taken_out_is_missed(copy: Path) -> None:
 
 def test_a_track_nobody_accounts_for_is_missed(copy: Path) -> None:
     falsify(copy, "DELETE FROM observation WHERE role = 'counted' AND n = (SELECT min(n) FROM observation)")
-    assert tuberline("audit", copy, check=False).returncode == 1
+    assert here("audit", copy).returncode == 1
 
 
 def test_frames_that_vanish_from_a_sheet_are_missed(copy: Path) -> None:
@@ -62,7 +62,7 @@ def test_frames_that_vanish_from_a_sheet_are_missed(copy: Path) -> None:
         copy,
         f"UPDATE entry SET payload = x'{columns[-1].hex()}', crc = {checksum(columns)} WHERE rowid = {row}",
     )
-    done = tuberline("audit", copy, "--json", check=False)
+    done = here("audit", copy, "--json")
     assert done.returncode == 1
     laws = [law for laws in json.loads(done.stdout)["equations"].values() for law in laws if law["difference"]]
     assert [abs(law["difference"]) for law in laws] == [3]

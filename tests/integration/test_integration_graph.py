@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from segmenter.log_store import LogStore
-from tests.belts import replay, tuberline
+from tests.belts import here, replay, tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 
@@ -21,14 +21,12 @@ def summary_of(run_dir: Path) -> dict[str, Any]:
 
 
 def score_of(run_dir: Path, recording: Path) -> dict[str, Any]:
-    scored: dict[str, Any] = json.loads(
-        tuberline("score", run_dir, "--truth", recording / "truth.json", "--json").stdout
-    )
+    scored: dict[str, Any] = json.loads(here("score", run_dir, "--truth", recording / "truth.json", "--json").stdout)
     return scored
 
 
 def export_of(run_dir: Path) -> str:
-    return tuberline("ledger", "export", run_dir / "ledger.db", "--canonical").stdout
+    return here("ledger", "export", run_dir / "ledger.db", "--canonical").stdout
 
 
 def tubers_of(run_dir: Path) -> list[dict[str, str]]:
