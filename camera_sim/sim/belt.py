@@ -32,10 +32,11 @@ class Belt:
 def draw_belt(rng: Generator, *, soil_m: float = 0.0012, cleat_m: float = 0.006, pitch_mm: int = 64) -> Belt:
     """A belt with soil of the given rms and cleats of the given height, 12 mm wide, every `pitch_mm` (divides 1024)."""
     k = np.fft.fftfreq(TILE_MM, 1 / TILE_MM)
-    radius = np.hypot(k[:, None], k[None, :])
-    spectrum = np.exp(-0.5 * (radius / 18.0) ** 2) + 0.08 * np.exp(-0.5 * (radius / 90.0) ** 2)
-    white = np.fft.fft2(rng.standard_normal((TILE_MM, TILE_MM)))
-    soil = np.fft.ifft2(white * spectrum).real
+    coarse, fine = (np.exp(-0.5 * (k / width) ** 2) for width in (18.0, 90.0))
+    half = TILE_MM // 2 + 1
+    spectrum = np.outer(coarse, coarse[:half]) + 0.08 * np.outer(fine, fine[:half])
+    white = np.fft.rfft2(rng.standard_normal((TILE_MM, TILE_MM)))
+    soil = np.fft.irfft2(white * spectrum)
     soil = np.maximum(soil / soil.std(), -0.8)
     soil = (soil - soil.mean()) * soil_m
     cleats = cleat_heights_m(cleat_m, pitch_mm, np.arange(TILE_MM))
