@@ -184,10 +184,10 @@ def test_a_broken_cache_is_made_again(tmp_path: Path) -> None:
 
 def test_the_paper_s_recipe_keeps_its_best_epoch(tmp_path: Path) -> None:
     """It wrote the last epoch; the authors' code keeps the one with the least validation loss."""
-    write_pack(tmp_path / "train", tubers=16, views=1, seed=1)
-    write_pack(tmp_path / "val", tubers=8, views=1, seed=2)
+    write_pack(tmp_path / "train", tubers=8, views=1, seed=1)
+    write_pack(tmp_path / "val", tubers=4, views=1, seed=2)
     out = tmp_path / "out"
-    settings = replace(TrainSettings.paper(), epochs=4.0, batch=8, lr=0.02)
+    settings = replace(TrainSettings.paper(), epochs=4.0, batch=4, lr=0.02)
     options = RunOptions(tmp_path / "train", tmp_path / "val", out, "x", False, 9.0, 9.0, 20, "tuberline train")
     told: list[int] = []
     sidecar = train(

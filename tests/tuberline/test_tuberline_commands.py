@@ -15,6 +15,8 @@ import pytest
 from cyclopts import App
 from rich.console import Console
 
+from conveyor.errors import InputError
+from tests.belts import here
 from tuberline.cli import build_app
 from tuberline.cli.commands import FORMER, GROUPS, LAB, PARTS
 from tuberline.cli.width import LEAST_WIDTH, least_width
@@ -177,9 +179,8 @@ def test_one_command_is_named_export(tmp_path: Path) -> None:
     assert "JSON lines" in help_of("ledger", "dump")
     assert "Now dump." in help_of("ledger", "export"), "its former name works"
     assert "GeoParquet" in help_of("export") or "ISOXML" in help_of("export")
-    done = tuberline("export-onnx", "--out", tmp_path / "net.txt")
-    assert done.returncode == 2
-    assert "must end in .onnx" in done.stderr
+    with pytest.raises(InputError, match=r"must end in \.onnx"):
+        here("export-onnx", "--out", tmp_path / "net.txt")
 
 
 @pytest.mark.parametrize(
