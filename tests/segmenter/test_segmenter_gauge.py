@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -103,24 +104,39 @@ def world(request: pytest.FixtureRequest) -> GaugeWorld:
     return gauge_world(kind, SEED, preset="field", tubers=3)
 
 
-def _keeper(world: GaugeWorld, by: Disturbed) -> GaugeKeeper:
-    """After looks at frames before and after: each frame is looked at several times, for rendering takes longest."""
-    keeper = GaugeKeeper(world.gauge)
-    frames = 12 if world.gauge.kind == "bar" else 6
-    for disturbed, first, looks in ((Disturbed(), 0, REFERENCE_LOOKS), (by, frames, max(LEAST_LOOKS, frames))):
-        source = world.source(disturbed)
-        rendered = [source.frame(first + n, run="gauge") for n in range(frames)]
-        for n in range(looks):
-            keeper.look(rendered[n % frames])
+@pytest.fixture(scope="module")
+def reference(world: GaugeWorld) -> GaugeKeeper:
+    """The keeper that knows the belt as it was; each test goes on with a copy."""
+    return _looked(GaugeKeeper(world.gauge), world, Disturbed(), first=0, looks=REFERENCE_LOOKS)
+
+
+def _looked(keeper: GaugeKeeper, world: GaugeWorld, by: Disturbed, *, first: int, looks: int) -> GaugeKeeper:
+    """After so many looks: each frame is looked at several times, for rendering takes longest."""
+    source = world.source(by)
+    rendered = [source.frame(first + n, run="gauge") for n in range(_frames(world))]
+    for n in range(looks):
+        keeper.look(rendered[n % len(rendered)])
     return keeper
 
 
-def test_a_camera_that_drifts_and_one_that_is_moved_over_a_simulated_belt(world: GaugeWorld) -> None:
-    moved = _keeper(world, Disturbed(shift_m=0.004))
+def _frames(world: GaugeWorld) -> int:
+    return 12 if world.gauge.kind == "bar" else 6
+
+
+def _keeper(world: GaugeWorld, reference: GaugeKeeper, by: Disturbed) -> GaugeKeeper:
+    """It after looks at a belt seen otherwise."""
+    frames = _frames(world)
+    return _looked(copy.deepcopy(reference), world, by, first=frames, looks=max(LEAST_LOOKS, frames))
+
+
+def test_a_camera_that_drifts_and_one_that_is_moved_over_a_simulated_belt(
+    world: GaugeWorld, reference: GaugeKeeper
+) -> None:
+    moved = _keeper(world, reference, Disturbed(shift_m=0.004))
     assert moved.reading is not None
     assert moved.reading.cause is Cause.MOUNT, moved.reading
     assert 1000 * moved.reading.shift_m == pytest.approx(4.0, abs=1.5)
-    drifted = _keeper(world, Disturbed(drift_px=0.2))
+    drifted = _keeper(world, reference, Disturbed(drift_px=0.2))
     assert drifted.reading is not None
     assert drifted.reading.cause is Cause.DRIFT, drifted.reading
     assert drifted.reading.drift_px == pytest.approx(0.2, abs=0.04)
@@ -128,8 +144,8 @@ def test_a_camera_that_drifts_and_one_that_is_moved_over_a_simulated_belt(world:
     assert moved.flags() == (MOUNT_MOVED,)
 
 
-def test_depth_is_corrected_before_heights_are_taken(world: GaugeWorld) -> None:
-    keeper = _keeper(world, Disturbed(drift_px=0.3))
+def test_depth_is_corrected_before_heights_are_taken(world: GaugeWorld, reference: GaugeKeeper) -> None:
+    keeper = _keeper(world, reference, Disturbed(drift_px=0.3))
     assert keeper.reading is not None
     right, wrong = (world.source(by).frame(40, run="x") for by in (Disturbed(), Disturbed(drift_px=0.3)))
     mended = keeper.corrected(wrong)
@@ -148,7 +164,8 @@ def test_a_segmenter_says_why_its_belt_is_off_and_without_a_gauge_only_that_it_i
     frames = [frame for frame in source.frames(run="x", after=9) if isinstance(frame, Frame)]
     plain = Settings(perception=PerceptionSettings(method="classical"))
     with_gauge, without = Segmenter(plain), Segmenter(plain)
-    with_gauge.gauge = _keeper(world, Disturbed(drift_px=0.25))
+    known = _looked(GaugeKeeper(world.gauge), world, Disturbed(), first=0, looks=REFERENCE_LOOKS)
+    with_gauge.gauge = _keeper(world, known, Disturbed(drift_px=0.25))
     flags: dict[str, set[str]] = {"with": set(), "without": set()}
     for name, segmenter in (("with", with_gauge), ("without", without)):
         closed = [track for frame in frames for track in segmenter.step(frame).closed] + segmenter.finish()
