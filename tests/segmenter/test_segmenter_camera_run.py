@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,7 @@ RUN_FPS = 30
 SETTINGS = RunSettings(
     core=Settings(), dispatch=DispatchSettings(), weigh_deadline_s=30.0, max_pending_views=100, window=4
 )
+KILLED_AFTER = (20, *range(29, 37), 45)
 LIVE_SETTINGS = replace(SETTINGS, dispatch=DispatchSettings(shed_over=256))
 """Of a live line, whose first views go first: what passes while a process is dead does not come again."""
 
@@ -249,17 +252,28 @@ def test_a_regressor_that_never_refuses_twice_for_one_reason_ends_no_camera(
     assert len(reasons) == 65
 
 
-@pytest.mark.parametrize("settings", [SETTINGS, LIVE_SETTINGS], ids=["tuber by tuber", "first views first"])
-@pytest.mark.parametrize("killed_after", [20, *range(29, 37), 45])
+@pytest.fixture(scope="module", params=[SETTINGS, LIVE_SETTINGS], ids=["tuber by tuber", "first views first"])
+def killed(
+    request: pytest.FixtureRequest, frames: list[Frame], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[RunSettings, Path]:
+    """What lies on the disk after each number of frames in `KILLED_AFTER`: of one process, where it would be killed."""
+    settings: RunSettings = request.param
+    (disk := tmp_path_factory.mktemp("killed") / "disk").mkdir()
+    run = CameraRun("front", "r1", settings, disk / "front.db")
+    run.open()
+    for done, after in pairwise((0, *KILLED_AFTER)):
+        play(run, frames[done:after], names={"a"}, start_s=done / 30)
+        shutil.copytree(disk, disk.with_name(str(after)))
+    return settings, disk.parent
+
+
+@pytest.mark.parametrize("killed_after", KILLED_AFTER)
 def test_a_killed_process_is_followed_without_a_tuber_lost_or_renumbered(
-    frames: list[Frame], tmp_path: Path, killed_after: int, settings: RunSettings
+    frames: list[Frame], killed: tuple[RunSettings, Path], killed_after: int
 ) -> None:
     """Also where a mark ended right before a tuber that its successor saw a millimetre elsewhere: it was lost."""
-    path = tmp_path / "front.db"
-    first = CameraRun("front", "r1", settings, path)
-    first.open()
-    play(first, frames[:killed_after], names={"a"})
-    second = CameraRun("front", "r1", settings, path)
+    settings, left = killed
+    second = CameraRun("front", "r1", settings, left / str(killed_after) / "front.db")
     second.open()
     behind = second.progress().done_seq
     assert behind <= killed_after
@@ -364,19 +378,6 @@ def test_a_camera_up_or_down_the_belt_goes_on_where_it_was(tmp_path: Path, row_x
     for body in bodies:
         near = [p for p in places if np.hypot(p[0] - body.place_x_m, p[1] - body.y_m) < 0.005]
         assert 1 <= len(near) <= 2, (body, places)
-
-
-def test_belt_that_passed_a_dead_process_was_not_looked_at(tmp_path: Path) -> None:
-    """What the dead process had seen and not logged, and all that left the view meanwhile, was called looked at."""
-    bodies = scattered(45, seed=4)
-    scene = Scene(bodies, noise_m=0.001)
-    frames = [scene.frame(i, i * STEP_M) for i in range(150)]
-    log, mark = killed_and_back(frames, tmp_path, killed_after=50, back_at=105)
-    counted = {t.track_id for e in log if (t := e.track) is not None}
-    share = mark.looked_at_m / mark.travelled_m
-    assert mark.travelled_m == pytest.approx(149 * STEP_M)
-    assert len(counted) < 40
-    assert share == pytest.approx(len(counted) / len(bodies), abs=0.1)
 
 
 @pytest.mark.parametrize("answered", [20, 33, 50])

@@ -1,4 +1,4 @@
-"""A live segmenter that starts again without an encoder: belt that ran on unseen is told, and nothing counts twice."""
+"""A live segmenter that starts again, mostly without an encoder: what ran on unseen is told, nothing counts twice."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from segmenter_scene import Body, Scene, scattered
-from test_segmenter_camera_run import RUN_FPS, SETTINGS, STEP_M, entries, finish, play
+from test_segmenter_camera_run import RUN_FPS, SETTINGS, STEP_M, entries, finish, killed_and_back, play
 
 from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import Frame, Mark, Track
@@ -38,6 +38,17 @@ def restarted(frames: list[Frame], path: Path, *, killed_after: int, back_at: in
     mark = second.log.last_mark
     assert mark is not None
     return [e.track for e in entries(second, 9.0) if e.track is not None], mark
+
+
+def test_belt_that_passed_a_dead_process_was_not_looked_at(frames: list[Frame], tmp_path: Path) -> None:
+    """What the dead process had seen and not logged, and all that left the view meanwhile, was called looked at."""
+    told = [replace(frame, travel_m=frame.seq * STEP_M) for frame in frames]
+    log, mark = killed_and_back(told, tmp_path, killed_after=50, back_at=105)
+    counted = {t.track_id for e in log if (t := e.track) is not None}
+    share = mark.looked_at_m / mark.travelled_m
+    assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M)
+    assert len(counted) < 40
+    assert share == pytest.approx(len(counted) / len(BODIES), abs=0.1)
 
 
 @pytest.mark.parametrize(("killed_after", "back_at"), [(50, 53), (50, 62), (50, 105)])
