@@ -37,6 +37,7 @@ from tests.regressor.training_step import check_same_step, readable_in_training
 from tuberline.cli.train import _tell
 
 QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)
+ONE_STEP = replace(QUICK, epochs=0.2)
 SILENT: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
 
 
@@ -112,16 +113,16 @@ def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, t
     for name in ("a", "b"):
         save_checkpoint(tmp_path / f"{name}.safetensors", PointRaft().state_dict(), Sidecar(name=name))
     first = replace(_options(packs, tmp_path / "out"), start=tmp_path / "a.safetensors")
-    train(first, QUICK, **SILENT)
+    train(first, ONE_STEP, **SILENT)
     again = replace(first, resume=True)
-    train(again, QUICK, **SILENT)
+    train(again, ONE_STEP, **SILENT)
     with pytest.raises(InputError, match=r"begun from other weights.* --start of its first call"):
-        train(replace(again, start=tmp_path / "b.safetensors"), QUICK, **SILENT)
+        train(replace(again, start=tmp_path / "b.safetensors"), ONE_STEP, **SILENT)
     with pytest.raises(InputError, match="begun from other weights"):
-        train(replace(again, start=None), QUICK, **SILENT)
+        train(replace(again, start=None), ONE_STEP, **SILENT)
     write_pack(tmp_path / "other", tubers=10, views=2, seed=7)
     with pytest.raises(InputError, match="begun otherwise: other validation views"):
-        train(replace(again, validation=tmp_path / "other"), QUICK, **SILENT)
+        train(replace(again, validation=tmp_path / "other"), ONE_STEP, **SILENT)
     # Weights that differ in a part which the other network has not ended in a KeyError.
     begun = load_checkpoint(tmp_path / "a.safetensors")[0].state_dict()
     flat = PointRaft(height_embedding=False).state_dict()
@@ -129,9 +130,9 @@ def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, t
     save_checkpoint(tmp_path / "flat.safetensors", flat, Sidecar(name="flat"))
     other = replace(again, start=tmp_path / "flat.safetensors")
     with pytest.raises(InputError, match="begun otherwise: height_embedding True, now False"):
-        train(other, replace(QUICK, height_embedding=False), **SILENT)
+        train(other, replace(ONE_STEP, height_embedding=False), **SILENT)
     with pytest.raises(InputError, match=r"flat.safetensors are not of pointraft's .*'height_em.* is missing; .*more"):
-        train(other, QUICK, **SILENT)
+        train(other, ONE_STEP, **SILENT)
 
 
 def test_a_state_that_cannot_be_read_says_how_to_go_on(packs: Path, tmp_path: Path) -> None:
@@ -153,7 +154,7 @@ def test_what_a_killed_training_left_goes_at_the_next_start(packs: Path, tmp_pat
     killed.mkdir(parents=True)
     (killed / "state.pt").write_bytes(b"half")
     (tmp_path / "out" / ".notes.partial-x").mkdir()
-    train(_options(packs, tmp_path / "out"), QUICK, **SILENT)
+    train(_options(packs, tmp_path / "out"), ONE_STEP, **SILENT)
     assert not killed.exists()
     assert (tmp_path / "out" / ".notes.partial-x").exists()
 
@@ -339,7 +340,7 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
 
 
 def test_another_target_is_a_setting(packs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sidecar = train(_options(packs, tmp_path / "out"), replace(QUICK, epochs=0.2, target="volume_ml"), **SILENT)
+    sidecar = train(_options(packs, tmp_path / "out"), replace(ONE_STEP, target="volume_ml"), **SILENT)
     weights = tmp_path / "out" / "weights.safetensors"
     truth = load_cloudset(packs / "train").volume_ml
     assert sidecar.target == "volume_ml"
@@ -356,7 +357,7 @@ def test_another_target_is_a_setting(packs: Path, tmp_path: Path, capsys: pytest
 
 
 def test_ablations_are_trained_once_and_compared(packs: Path, tmp_path: Path) -> None:
-    settings = replace(QUICK, epochs=0.2)
+    settings = ONE_STEP
     options = _options(packs, tmp_path / "out")
     steps: list[str] = []
 

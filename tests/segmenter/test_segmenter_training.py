@@ -76,6 +76,14 @@ def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def patches(packs: Path) -> Path:
+    """What is cut from both: a training reads it sooner."""
+    for name in ("train", "val"):
+        make_patches(data=[packs / name], out=packs / "patches" / name)
+    return packs / "patches"
+
+
 def test_trainings_end_in_files_that_the_segmenter_reads(packs: Path, tmp_path: Path) -> None:
     classifier = TrainingRun((packs / "train",), packs / "val", tmp_path, "classifier", "test")
     sidecar = make_classifier(classifier, ClassifierRecipe(epochs=3, batch=4), on_step=lambda step, total, loss: None)
@@ -88,8 +96,8 @@ def test_trainings_end_in_files_that_the_segmenter_reads(packs: Path, tmp_path: 
         Classifier(tmp_path / "other.onnx")
 
 
-def test_a_training_goes_on_where_another_ended(packs: Path, tmp_path: Path) -> None:
-    first = TrainingRun((packs / "train",), packs / "val", tmp_path, "first", "test 1")
+def test_a_training_goes_on_where_another_ended(patches: Path, tmp_path: Path) -> None:
+    first = TrainingRun((patches / "train",), patches / "val", tmp_path, "first", "test 1")
     recipe = ClassifierRecipe(epochs=1, batch=4, rate=1e-9)
     begun = make_classifier(first, recipe, on_step=lambda step, total, loss: None)
     went_on = replace(first, name="second", command="test 2", start=tmp_path / "first.pt")
@@ -100,14 +108,14 @@ def test_a_training_goes_on_where_another_ended(packs: Path, tmp_path: Path) -> 
     write_belt_pack(tmp_path / "new", belts=1, frames=3, tubers=6, seed=9, command="test")
     third = replace(went_on, data=(tmp_path / "new",), name="third", command="test 3")
     make_classifier(third, recipe, on_step=lambda step, total, loss: None)
-    fourth = replace(third, validation=packs / "train", name="fourth", start=tmp_path / "third.pt")
+    fourth = replace(third, validation=patches / "train", name="fourth", start=tmp_path / "third.pt")
     with pytest.raises(InputError, match="learned from"):  # by the first, two trainings ago
         make_classifier(fourth, recipe, on_step=lambda step, total, loss: None)
 
 
-def test_what_is_written_may_keep_a_share_of_what_it_began_with(packs: Path, tmp_path: Path) -> None:
+def test_what_is_written_may_keep_a_share_of_what_it_began_with(patches: Path, tmp_path: Path) -> None:
     def trained(name: str, share: float, start: Path | None) -> dict[str, torch.Tensor]:
-        run = TrainingRun((packs / "train",), packs / "val", tmp_path, name, "test", start)
+        run = TrainingRun((patches / "train",), patches / "val", tmp_path, name, "test", start)
         make_classifier(run, ClassifierRecipe(epochs=1, batch=4, start_share=share), on_step=lambda *_: None)
         state: dict[str, torch.Tensor] = torch.load(tmp_path / f"{name}.pt")
         return state
