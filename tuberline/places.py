@@ -13,16 +13,22 @@ from conveyor.errors import InputError
 from conveyor.formats.source import CameraDescription
 
 KEYS = ("belt_distance_m", "belt_from_camera", *PLACE)
+LIES = frozenset({"surface", "resting_offset_mm", "resting_sd_mm"})
+"""Keys of `[belt]` that say what tubers lie on: where one is given, a recording's own word of it counts no more."""
 
 
 def places_in(file: Path, cameras: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """By camera of a recording, what the section of that name in a line's file says of its place.
+    """By camera of a recording, what the section of that name in a line's file says of its place; nothing of any where
+    the file has `[belt]` alone.
 
     Raises:
         ConfigError: no line's file.
         InputError: it says nothing of one of the cameras.
     """
-    sections = load_config(file).cameras
+    line = load_config(file)
+    sections = line.cameras
+    if not sections and "belt" in line.model_fields_set:
+        return {}
     found = {
         camera: {key: value for key in KEYS if (value := getattr(sections[camera], key)) is not None}
         for camera in cameras

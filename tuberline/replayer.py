@@ -20,7 +20,7 @@ from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.stated import level_fault
 from conveyor.taken_port import check_port_free, free_port
-from tuberline.places import belt_in, hung_together, places_in
+from tuberline.places import LIES, belt_in, hung_together, places_in
 from tuberline.processes import line_processes, usual_regressors
 from tuberline.recorded import has_positions, lost_frames, none_counted, other_zeros
 from tuberline.supervisor import Supervisor
@@ -86,8 +86,7 @@ def replay_recording(
     cameras = recording_cameras(recording, ignore_masks=ignore_masks)
     _refuse_early(weights, contract)
     told = [open_source(recording, camera=name, ignore_masks=ignore_masks).description for name in cameras]
-    belt: dict[str, Any] = belt_in(places) if places else {}
-    belt |= stated_belt(() if belt else told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
+    belt = belt_said(belt_in(places) if places else {}, told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
     asked = FAST if fast else {}
     sections |= {name: {**section, **sections.get(name, {})} for name, section in asked.items()}
@@ -239,6 +238,15 @@ def take_positions(recording: Path, out: Path) -> None:
     if positions is not None:
         with whole_output(out / POSITIONS_FILE) as part:
             part.write_bytes(positions)
+
+
+def belt_said(
+    file: Mapping[str, Any], cameras: Iterable[CameraDescription], *, offset_mm: float | None, sd_mm: float | None
+) -> dict[str, Any]:
+    """Section `belt` of a replay: as a line's file has it, with the resting level as given, else as the file says it,
+    else as a recording's cameras state it.
+    """
+    return {**file, **stated_belt(() if LIES & file.keys() else cameras, offset_mm=offset_mm, sd_mm=sd_mm)}
 
 
 def stated_belt(

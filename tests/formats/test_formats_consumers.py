@@ -35,7 +35,7 @@ from tests.formats.consumers import (
     write_folder,
     write_mcap,
 )
-from tuberline.replayer import stated_belt
+from tuberline.replayer import belt_said, stated_belt
 
 NOT_RIGID = "belt_from_camera is no rigid transform (rotation rows must be orthonormal and right-handed"
 
@@ -174,6 +174,10 @@ def test_a_resting_level_in_metres_is_told_and_the_recording_read(tmp_path: Path
     (camera,) = describe_recording(root).cameras
     assert stated_belt([camera]) == {"resting_offset_mm": 0.0, "resting_sd_mm": 1.5}
     assert stated_belt([replace(camera, resting_offset_mm=None)]) == stated_belt([camera]), "a doubt without an offset"
+    level = belt_said({"gauge": "travel"}, [camera], offset_mm=None, sd_mm=None)
+    assert level == {"gauge": "travel"} | stated_belt([camera]), "a gauge does not say what tubers lie on"
+    assert belt_said({"surface": "rods"}, [camera], offset_mm=2.0, sd_mm=None)["resting_offset_mm"] == 2.0
+    assert belt_said({"surface": "rods"}, [camera], offset_mm=None, sd_mm=None) == {"surface": "rods"}
 
 
 def test_an_mcap_recording_of_a_newer_version_is_refused_by_all(

@@ -117,6 +117,8 @@ def test_places_of_a_file_reach_the_frames_and_leave_what_they_do_not_say(record
     assert belt_in(file) == {}
     (web := tmp_path / "web.toml").write_text(file.read_text() + '[belt]\nsurface = "rods"\n', encoding="utf-8")
     assert belt_in(web) == {"surface": "rods"}
+    (gauge := tmp_path / "gauge.toml").write_text('[belt]\ngauge = "travel"\n', encoding="utf-8")
+    assert places_in(gauge, ["left", "right"]) == {}
     place = load_config(file).camera("left").place
     plain = next(iter(open_source(recording, camera="left").frames(run="r")))
     turned = open_source(recording, camera="left", belt_distance_m=0.5, place=place)

@@ -58,7 +58,8 @@ def replay(
         A buyer's classes of size (TOML): count and weight of each come with the totals.
     places
         A line's file whose sections of the recording's cameras say where they hang, instead of what the recording says:
-        what `tuberline calibrate cameras` prints. Its section [belt] says what tubers lie on, rods for example.
+        what `tuberline calibrate cameras` prints. Its section [belt] says what tubers lie on, rods for example, or
+        names a gauge; a file may have that alone.
     fast
         Weigh as a busy live line does: one view of a tuber from each camera, in the fastest form within 0.1 g of the
         exact one. Every weight is flagged with the form; what is counted stays the same.
