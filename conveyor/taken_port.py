@@ -6,7 +6,9 @@ and is waited for. No message is read here: a router starts a third sooner witho
 
 from __future__ import annotations
 
+import contextlib
 import json
+import random
 import socket
 import time
 from collections.abc import Callable
@@ -23,6 +25,8 @@ PORT_IS_LEFT_WITHIN_S = 3.0
 """A line that was stopped or killed a moment ago lets go of its port by then."""
 LOOK_EVERY_S = 0.1
 CONNECT_S = 0.5
+NOT_GIVEN_OUT, PORTS_TRIED = range(20_000, 32_768), 100
+"""Linux gives connections ports from 32768 on, other systems from 49152."""
 
 
 def check_port_free(link: LinkConfig, *, stop: Callable[[], bool] = lambda: False) -> None:
@@ -72,7 +76,15 @@ def _listened_to(link: LinkConfig) -> str | None:
 
 
 def free_port() -> int:
-    """A TCP port of this machine that was free a moment ago."""
+    """A TCP port of this machine that was free a moment ago.
+
+    None of those that the system gives to connections that go out: it might give this one to another program's before
+    a router listens there.
+    """
+    for port in random.SystemRandom().sample(NOT_GIVEN_OUT, PORTS_TRIED):
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from aggregator.ledger.receipt import receipt_path
+from conveyor import taken_port
 from conveyor.config import CameraConfig, LineConfig, LinkConfig, dump_toml
 from conveyor.errors import FAULT, PASSING, PERMANENT
 from conveyor.observer import Observer
@@ -203,3 +204,10 @@ def test_a_process_that_starts_slowly_gets_more_time_each_time() -> None:
                 assert bool(beat.standstill(at_s)) == (at_s > 300 * patience), (patience, at_s)
         beat.close()
     assert len({PERMANENT, PASSING, FAULT}) == 3
+
+
+def test_a_free_port_is_none_that_the_system_gives_to_connections() -> None:
+    """A router that came a moment later found its port taken by another program's connection, once in many runs."""
+    ports = [taken_port.free_port() for _ in range(20)]
+    assert max(ports) < 32_768
+    assert len(set(ports)) > 15

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from conveyor.access import router_access
 from conveyor.config import LineConfig
 from conveyor.session import open_router
+from conveyor.taken_port import free_port
 from tests.deploy.deploy_site import Site, make_certs, site_config
 
 
@@ -27,9 +27,7 @@ def site_certs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def site_config_running(site_certs: Path) -> Iterator[LineConfig]:
     """The config of a line with TLS and access control whose router runs; one router for a file of tests."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        config = site_config(int(probe.getsockname()[1]), site_certs)
+    config = site_config(free_port(), site_certs)
     router = open_router(config.link, access_control=router_access(config))
     yield config
     router.close()

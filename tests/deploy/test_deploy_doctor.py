@@ -7,7 +7,6 @@ import json
 import os
 import resource
 import signal
-import socket
 import subprocess
 import sys
 import tarfile
@@ -31,6 +30,7 @@ from conveyor.identity import Identity
 from conveyor.messages import Counters, Totals
 from conveyor.node import Node
 from conveyor.observer import Observer
+from conveyor.taken_port import free_port
 from regressor.network.stored import SHIPPED, read_weights
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import site_config
@@ -340,7 +340,7 @@ def test_prometheus_scrapes_counters_levels_and_totals(line: Path, camera: Node)
     pytest.importorskip("prometheus_client", reason="metrics need tuberline[deploy]")
     totals = KeptPublisher(camera, topics.TOTALS)
     totals.put(Totals("r1", 3, 512.5, 480.0, 540.0, 0.75, 600.0, 550.0, 650.0, 1.5, 50.0, (0, 3), {}, final=False))
-    address = f"127.0.0.1:{another_port()}"
+    address = f"127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "tuberline", "metrics", "--config", str(line), "--listen", address]
     with subprocess.Popen(command) as exporter:
         try:
@@ -357,13 +357,6 @@ def test_prometheus_scrapes_counters_levels_and_totals(line: Path, camera: Node)
     assert 'tuberline_load_weight_grams{line="north",run="r1"} 512.5' in page
     assert 'tuberline_load_belt_seen_ratio{line="north",run="r1"} 0.75' in page
     assert "# TYPE tuberline_frames_published_total counter" in page
-
-
-def another_port() -> int:
-    """A free port beside the one the router of this test got."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def scrape_until(url: str, *wanted: str) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 from pathlib import Path
 
 import pytest
+
+from conveyor.taken_port import free_port
 
 
 def binaries() -> Path:
@@ -37,9 +38,7 @@ class Postgres:
         if os.geteuid() == 0:
             shutil.chown(self._root, "postgres", "postgres")
         self._run("initdb", "--auth=trust", "--username=tuberline", "--no-sync", "-D", str(self._folder))
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
+        self.port = free_port()
         self.url = f"postgresql://tuberline@127.0.0.1:{self.port}/postgres"
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,7 @@ from rich.text import Text
 from conveyor.config import load_config
 from conveyor.formats import open_source
 from conveyor.observer import Observer, observer_when_there
+from conveyor.taken_port import free_port
 from tests.deploy.remote_browser import Browser, chromium
 from tests.walks.foxglove_picture import foxglove_picture
 
@@ -64,12 +64,12 @@ def main(recording: Path, out: Path) -> None:
     folder = Path(tempfile.mkdtemp(prefix="operator-"))
     keys = open_source(recording, camera="front").keys()
     speed = (keys[-1].captured_ns - keys[0].captured_ns) / 1e9 / LASTS_S
-    text = LINE.format(port=_free_port(), recording=recording.resolve(), speed=f"{speed:.4f}")
+    text = LINE.format(port=free_port(), recording=recording.resolve(), speed=f"{speed:.4f}")
     (folder / "line.toml").write_text(text, encoding="utf-8")
     link = load_config(folder / "line.toml").link
     with (folder / "line.log").open("w") as log, chromium(folder / "profile") as browser:
         line = _tuberline("run", "line.toml", folder=folder, stdout=log, stderr=log)
-        port = _free_port()
+        port = free_port()
         page = _tuberline(
             "page", "--config", "line.toml", "--listen", f"127.0.0.1:{port}", folder=folder, stdout=log, stderr=log
         )
@@ -166,7 +166,7 @@ def _terminal(browser: Browser, said: str, folder: Path, out: Path) -> None:
 def _rerun(browser: Browser, rrd: Path, out: Path) -> None:
     from viewer.rerun.launch import native_program
 
-    hub, page = _free_port(), _free_port()
+    hub, page = free_port(), free_port()
     words = ["--bind", "127.0.0.1", "--port", str(hub), "--serve-web", "--web-viewer-port", str(page)]
     program = subprocess.Popen([str(native_program()), *words, str(rrd)], stdout=subprocess.DEVNULL)
     try:
@@ -176,12 +176,6 @@ def _rerun(browser: Browser, rrd: Path, out: Path) -> None:
     finally:
         program.terminate()
         program.wait(20)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 if __name__ == "__main__":

@@ -7,12 +7,12 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+from conveyor.taken_port import free_port
 from tests.docs.blocks import Command, blocks, made_small
 from tests.kernels import take_compiled
 
@@ -50,9 +50,7 @@ class Walk:
             "NO_COLOR": "1",
             "COLUMNS": "80",
         }
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self._port = probe.getsockname()[1]
+        self._port = free_port()
 
     def type(self, line: str, *, codes: tuple[int, ...] = (0,)) -> str:
         """Run one command to its end; what it said.
