@@ -15,7 +15,7 @@ from conveyor.errors import FAULT, PERMANENT, TuberlineError
 from conveyor.files import told
 from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
-from tuberline.cli.leaving import leave_when_told, told_to_end
+from tuberline.cli.leaving import leave_when_told, swallowed, told_to_end
 from tuberline.cli.width import least_width
 
 __all__ = ["build_app", "main"]
@@ -54,6 +54,8 @@ def _run() -> int:
     except SystemExit as done:
         return done.code if isinstance(done.code, int) else int(done.code is not None)
     except TuberlineError as error:
+        if (code := swallowed(error)) is not None:
+            return code
         say(f"tuberline: {error}\n")
         return error.exit_code
     except BrokenPipeError:
@@ -75,7 +77,7 @@ def _run() -> int:
         )
         return PERMANENT
     except Exception as error:
-        if (code := told_to_end(error)) is not None:
+        if (code := told_to_end(error) or swallowed(error)) is not None:
             logging.getLogger("tuberline").debug("where it happened", exc_info=True)
             return code
         say(traceback.format_exc())

@@ -9,6 +9,8 @@ import threading
 from types import FrameType
 
 AGAIN_AFTER_S = 0.05
+_told: list[int] = []
+"""Signals that this command was told to end by. A list: a handler may take no lock."""
 
 
 class Told(SystemExit):
@@ -42,14 +44,23 @@ def told_to_end(error: BaseException | None) -> int | None:
     return None
 
 
+def swallowed(error: BaseException) -> int | None:
+    """The exit code where the command was told to end and something took that for an error of its own, as pydantic
+    does for a value that does not match: `error` knows nothing of it then. One that came while it left does.
+    """
+    return 128 + _told[0] if _told and told_to_end(error) is None else None
+
+
 def _leave(number: int, _frame: FrameType | None) -> None:
+    _told.append(number)
     raise Told(128 + number)
 
 
 def _dropped(dropped: sys.UnraisableHookArgs) -> None:
     numbers = {Told: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}
     if (number := numbers.get(dropped.exc_type)) is None:
-        sys.__unraisablehook__(dropped)
+        if not _told:  # else of what was interrupted while it was made
+            sys.__unraisablehook__(dropped)
         return
     again = threading.Timer(AGAIN_AFTER_S, os.kill, (os.getpid(), number))
     again.daemon = True
