@@ -42,7 +42,7 @@ from tuberline.doctor.bundle import write_bundle
 from tuberline.doctor.examine import Live, examine, look
 from tuberline.doctor.gpu import check_gpu
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
-from tuberline.doctor.link import check_certificates, check_port
+from tuberline.doctor.link import check_certificates, check_port, no_router
 from tuberline.doctor.machine import check_clock, check_disk, check_locked_memory, check_processors, check_usb
 from tuberline.doctor.weights import check_tickets
 
@@ -322,6 +322,10 @@ def test_an_unreachable_line_is_a_finding_not_a_crash(free_port: int, tmp_path: 
     findings = examine(config, live=live)
     assert {f.check for f in findings if f.level is Level.FAULT} == {"router port", "line"}
     assert worst(examine(config, live=Live(), offline=True)) is not Level.FAULT
+    with socket.create_server(("127.0.0.1", free_port)):
+        (found,) = no_router(config.link, check_port(config.link), live.unreachable)
+    assert found.text.endswith(" s, though something listens there"), "another program; it said to start the line"
+    assert f"`ss -ltnp 'sport = :{free_port}'`" in found.fix
 
 
 @pytest.mark.graph

@@ -83,7 +83,8 @@ def examine(
     on_work("looking through the cameras", 3, 4)
     findings += _cameras(config, alive=heard.alive)
     if not offline:
-        findings += link.check_port(config.link) + _running(config, heard)
+        port = link.check_port(config.link)
+        findings += port + (link.no_router(config.link, port, heard.unreachable) or _running(config, heard))
     return findings
 
 
@@ -94,8 +95,6 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
     from tuberline.doctor.encoder import check_encoder
     from tuberline.doctor.line import check_clocks, check_nodes, check_versions
 
-    if live.unreachable:
-        return [fault("line", live.unreachable, "see the findings on the router's port and the certificates")]
     if not live.alive and not live.nodes:
         return [
             fault(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.errors import TuberlineError
-from tuberline.doctor.finding import Finding, fault, ok, warning
+from tuberline.doctor.finding import Finding, Level, fault, ok, warning
 
 EVERYWHERE = ("0.0.0.0", "::")
 """Where a router may listen, and no node calls it by."""
@@ -39,6 +39,24 @@ def check_port(link: LinkConfig, *, timeout_s: float = 2.0) -> list[Finding]:
                 "of its host, or correct link.router",
             )
         ]
+
+
+def no_router(link: LinkConfig, port: list[Finding], unreachable: str) -> list[Finding]:
+    """Why no router answers, where none does: what listens at its port (`port`: findings on that) may be another
+    program, or certificates do not fit."""
+    if not unreachable:
+        return []
+    if any(finding.level is not Level.OK for finding in port) or not link.router.startswith(("tcp/", "tls/")):
+        return [fault("line", unreachable, "see the findings on the router's port and the certificates")]
+    number = router_address(link)[1]
+    return [
+        fault(
+            "line",
+            f"{unreachable.partition(';')[0]}, though something listens there",
+            f"see which program that is (`ss -ltnp 'sport = :{number}'`): where it is another one, stop it or choose "
+            "another port in link.router; where it is the router, the certificates do not fit",
+        )
+    ]
 
 
 def check_certificates(config: LineConfig, *, now: datetime) -> list[Finding]:
