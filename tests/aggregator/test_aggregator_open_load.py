@@ -69,3 +69,5 @@ def test_the_page_tells_a_load_as_all_of_its_belt_weighs(tmp_path: Path) -> None
     assert (shown.low_g, shown.weight_g, shown.high_g) == (8e3, 9e3, 11e3)
     unseen = ToldLoad.of({**load, "weight_g": None, "low_g": None, "high_g": None})
     assert (unseen.low_g, unseen.weight_g, unseen.high_g) == (None, None, None)
+    unseen = ToldLoad.of({**load, "count": 0, "coverage": None, "estimated_weight_g": 0.0})
+    assert (unseen.low_g, unseen.weight_g, unseen.high_g) == (None, None, None), "not 0 kg, and surely so"

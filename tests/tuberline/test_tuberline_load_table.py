@@ -32,6 +32,8 @@ def test_an_interval_has_two_ends_and_a_trailer_of_tons_its_ticket(
     told = capsys.readouterr().out
     for part in ("9.04 ", "3.43 to 27.10", "40.3 %", "104200 ", "95000 to 112000", "103100.0"):
         assert part in told, told
+    print_loads([{**SAID, **times, **missed, "number": 3, "name": "", "count": 0, "coverage": None}])
+    assert "9.04" not in capsys.readouterr().out, "no belt of it was seen: it weighs nothing that is known, not 0 kg"
 
 
 def test_times_of_day_say_their_zone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

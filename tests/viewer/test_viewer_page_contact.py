@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tests.viewer.page_states import camera_info, good_state, totals
+from tests.viewer.page_states import camera_info, good_state, loaded_state, totals
 from tests.viewer.test_viewer_page_alarms import texts
 from viewer.page.alarms import alarms
 from viewer.page.snapshot import snapshot
@@ -63,6 +63,16 @@ def test_a_line_that_was_stopped_on_purpose_may_not_be_counting_on() -> None:
         stopped, nodes={**nodes, "aggregator/aggregator": state.nodes["aggregator/aggregator"]}, heard_s=0.4
     )
     assert snapshot(again)["state"] == "trouble", "the line is there, and its cameras are not"
+
+
+def test_a_load_of_which_no_belt_was_seen_yet_has_no_weight() -> None:
+    """In the list it had 0.00 kg, and surely so: 0.00 to 0.00."""
+    state = loaded_state()
+    assert state.totals is not None
+    assert state.totals.load is not None
+    begun = replace(state.totals.load, count=0, coverage=None, estimated_weight_g=0.0)
+    shown = snapshot(replace(state, totals=replace(state.totals, load=begun)))["told"]
+    assert [load["weight_g"] for load in shown] == [None, 206.4e3, 206.4e3]
 
 
 def test_a_complete_load_does_not_grow_old() -> None:

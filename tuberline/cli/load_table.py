@@ -87,7 +87,7 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
             "\n".join(local_clock(load["began_unix_s"], "%m-%d %H:%M")),
             _ended(load),
             str(load["count"]),
-            weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"]),
+            _weight(load),
             "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
             "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
         )
@@ -95,6 +95,13 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
     for load in loads:
         for words in _of_tickets(load):
             console.print(Text(f"{load['number']}: {words}"))
+
+
+def _weight(load: dict[str, Any]) -> str:
+    """No weight where no belt was seen, which is not one of 0 kg."""
+    if not load["count"] and load["coverage"] is None:
+        return "-"
+    return weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"])
 
 
 def _of_tickets(load: dict[str, Any]) -> list[str]:

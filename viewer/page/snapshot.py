@@ -76,7 +76,8 @@ def _told(load: ToldLoad, state: LineState) -> dict[str, Any]:
     found, now = asdict(load), None if state.totals is None else state.totals.load
     if now is None or not load.open or now.number != load.number:
         return found
-    weights = {name: getattr(now, f"estimated_{name}") for name in WEIGHTS}
+    seen = now.count or now.coverage is not None
+    weights = {name: getattr(now, f"estimated_{name}") if seen else None for name in WEIGHTS}
     return {**found, **weights, "count": now.count, "coverage": now.coverage}
 
 

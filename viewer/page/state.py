@@ -95,8 +95,8 @@ WEIGHTS = ("weight_g", "low_g", "high_g")
 @dataclass(frozen=True, slots=True)
 class ToldLoad:
     """One load that was started, as the aggregator tells it: `weight_g` and its interval are estimated for all of its
-    belt, as a scale would say it. `net_g` and `gross_g` are what scales said, `refused` why that does not calibrate,
-    `doubts` what speaks against it; `notes` what persons did (`by`, `text`).
+    belt, as a scale would say it; None where none of it was seen. `net_g` and `gross_g` are what scales said, `refused`
+    why that does not calibrate, `doubts` what speaks against it; `notes` what persons did (`by`, `text`).
     """
 
     number: int
@@ -122,8 +122,8 @@ class ToldLoad:
         notes = tuple({"by": str(note["by"]), "text": str(note["text"])} for note in told.get("notes", ()))
         doubts = tuple(map(str, told.get("doubts", ())))  # a line of an earlier version tells none
         found = {each.name: told[each.name] for each in fields(cls) if each.name not in ("notes", "doubts")}
-        if found["weight_g"] is not None:
-            found |= {name: told[f"estimated_{name}"] for name in WEIGHTS}
+        seen = found["weight_g"] is not None and bool(found["count"] or found["coverage"] is not None)
+        found |= {name: told[f"estimated_{name}"] if seen else None for name in WEIGHTS}
         return cls(**found, notes=notes, doubts=doubts)
 
 
