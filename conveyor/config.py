@@ -319,7 +319,8 @@ def _fault(fault: Any) -> str:
         told = fault["msg"].removeprefix("Value error, ")  # pydantic's mark on a sentence of ours
         given = fault.get("input")
         said = told != fault["msg"] and (isinstance(given, dict) or str(given) in told)
-        return f"{where}: {told}" if said else f"{where}: {told} (got {given!r})"
+        shown = str(given).lower() if isinstance(given, bool) else repr(given)  # as TOML writes it
+        return f"{where}: {told}" if said else f"{where}: {told} (got {shown})"
     if new_name := _new_name(fault["loc"]):
         return f"{where}: now '{new_name}'; write that instead"
     known = _known_keys(fault["loc"][:-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
@@ -37,6 +37,15 @@ class Section(BaseModel):
         """Else it would be the folder of the line's file."""
         if value == "" and cls.model_fields[info.field_name or ""].annotation in (Path, Path | None):
             raise ValueError('"" names no file and no folder: give a path, or leave the key out; "." is this folder')
+        return value
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_value(cls, value: object, info: ValidationInfo) -> object:
+        """True would be read as 1."""
+        annotation = cls.model_fields[info.field_name or ""].annotation
+        if isinstance(value, bool) and bool not in (annotation, *get_args(annotation)):
+            raise ValueError("true and false are not allowed here")
         return value
 
     @field_validator("*")

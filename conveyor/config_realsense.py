@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from conveyor.config_base import Section
 
 Preset = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 Filter = Literal["spatial", "temporal", "hole-filling"]
 
 
-class RealSenseConfig(BaseModel):
+class RealSenseConfig(Section):
     """What a RealSense camera is set to before it starts. Each setting is checked against what the device offers, read
     back from it, and told with the camera's source; what is not given stays as the device has it.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
     width: int = Field(848, ge=160, le=1920, description="of the depth image, pixels")
     height: int = Field(480, ge=90, le=1200, description="of the depth image, pixels")

@@ -32,6 +32,8 @@ def test_defaults_need_no_file() -> None:
         ("[segmentor]\nring = 3", "did you mean 'segmenter'"),
         ("[cameras.front]\nbelt_distance = 0.4", "did you mean 'belt_distance_m'"),
         ("[segmenter]\nring = 0", "greater than or equal to 1 .got 0"),
+        ("[segmenter]\nviews_per_tuber = true", r"views_per_tuber: true and false are not allowed here .got true"),
+        ("[cameras.front.realsense]\nlaser = true\nlaser_mw = true", r"laser_mw: true and false are not allowed here"),
         ('name = "two words"', "two words"),
         ("[belt]\nresting_offset_mm = 0.0055", r"belt.resting_offset_mm: .*cannot be known; 0.0055 m are 5.5 mm"),
         ("[cameras.front]\nbelt_distance_m = 345", "less than or equal to 10 .got 345"),
