@@ -124,7 +124,7 @@ def load_compiler() -> None:
 @contextmanager
 def compiled_once(what: str) -> Iterator[None]:
     """Around the first calls of some kernels: of processes that begin together where nothing was ever compiled, one
-    compiles, and the others wait for what it keeps. Else none waits.
+    compiles, and the others wait for what it keeps. Else none waits. Each says so, for it is not there meanwhile.
 
     Args:
         what: a name for these kernels, part of a file's name beside what is kept.
@@ -134,6 +134,11 @@ def compiled_once(what: str) -> Iterator[None]:
     _nothing()
     with ExitStack() as stack:
         folder = _nothing.stats.cache_path  # type: ignore[attr-defined]
+        if _nothing.stats.cache_misses:  # type: ignore[attr-defined]
+            kept = (
+                "later starts find it" if folder is not None else "at each start, for no folder can be written for it"
+            )
+            logging.getLogger("kernels").info("compiling what %s need, a minute or two: %s", what, kept)
         if folder is not None and _nothing.stats.cache_misses:  # type: ignore[attr-defined]
             with suppress(OSError):  # where nothing can be kept each has to compile
                 lock = Path(folder) / f"compiling-{what}.lock"
