@@ -38,8 +38,8 @@ def square_mesh_m(vertices: Vertices) -> float:
 
 def widths(hull: Vertices, directions: Vertices) -> NDArray[np.float64]:
     """(n,) extent of the body along (n, 3) unit vectors."""
-    along = hull @ directions.T
-    return np.asarray(along.max(axis=0) - along.min(axis=0))
+    along = directions @ hull.T
+    return np.asarray(along.max(axis=1) - along.min(axis=1))
 
 
 def _coarse(hull: Vertices) -> list[Vertices]:

@@ -165,11 +165,13 @@ def _second_growth(rng: Generator, directions: Vertices, strength: float) -> NDA
 
 def _shape(directions: Vertices, form: _Form, fullness: float, half_m: Vertices) -> Vertices:
     """(V, 3) metres: the body of the given fullness with everything of `form`, fitted into the box of the axes."""
-    radius = (np.abs(directions) ** fullness).sum(axis=1) ** (-1 / fullness)
+    powers = np.abs(directions.T) ** fullness
+    radius = (powers[0] + powers[1] + powers[2]) ** (-1 / fullness)
     radius = (radius**16 + form.lobes**16) ** (1 / 16) * (1 + form.relief)
-    points = directions * radius[:, None]
-    swell = 1 + form.taper * points[:, 0]
-    points[:, 1] = points[:, 1] * swell + form.bend_side * points[:, 0] ** 2
-    points[:, 2] = points[:, 2] * swell + form.bend * points[:, 0] ** 2
+    x, y, z = directions.T * radius
+    swell = 1 + form.taper * x
+    y = y * swell + form.bend_side * x**2
+    z = z * swell + form.bend * x**2
+    points = np.array([x, y, z]).T
     low, high = points.min(axis=0), points.max(axis=0)
-    return np.asarray((points - (low + high) / 2) * (2 * half_m / (high - low)))
+    return np.ascontiguousarray((points - (low + high) / 2) * (2 * half_m / (high - low)))
