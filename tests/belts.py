@@ -56,10 +56,10 @@ def replay(recording: Path, out: Path, *options: str) -> dict[str, Any]:
 
 
 def simulate(out: Path, **options: str) -> Path:
-    """`tuberline simulate` with the session's seed, 15 frames/s of 848 x 480."""
+    """`tuberline simulate`, here, with the session's seed, 15 frames/s of 848 x 480."""
     sys.stdout.write(f"seed {SEED} (TUBERLINE_SEED repeats it)\n")
     chosen = {"seed": SEED, "fps": "15", "camera": "d405-848", **options}
-    tuberline("simulate", "--out", out, *(part for name, value in chosen.items() for part in (f"--{name}", value)))
+    here("simulate", "--out", out, *(part for name, value in chosen.items() for part in (f"--{name}", value)))
     return out
 
 

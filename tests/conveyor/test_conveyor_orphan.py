@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.belts import simulate
 from tests.conftest import ROOT, wait_until
 from tuberline.cli.leaving import Told, told_to_end
 
@@ -64,7 +65,7 @@ def test_a_node_ends_when_its_supervisor_was_killed(tmp_path: Path, free_port: i
 def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> None:
     recording, out = tmp_path / "recording", tmp_path / "out"
     tuberline = [sys.executable, "-m", "tuberline"]
-    subprocess.run([*tuberline, "simulate", "--out", recording, "--tubers", "20"], cwd=ROOT, check=True)
+    simulate(recording, tubers="20")
     logs = out / "logs"
     with subprocess.Popen([*tuberline, "replay", recording, "--out", out, "--speed", "real"], cwd=ROOT) as replay:
         wait_until(lambda: [*logs.glob("camera-*.log")], what="the cameras are started", timeout_s=60)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from conveyor.config import parse_config
+from tests.belts import simulate
 from tests.deploy.deploy_site import make_certs
 from tuberline.replayer import replay_recording
 
@@ -20,8 +19,7 @@ pytestmark = pytest.mark.graph
 def test_a_line_with_certificates_and_rules_counts_everything(tmp_path: Path, free_port: int) -> None:
     pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
     recording, certs, out = tmp_path / "recording", tmp_path / "certs", tmp_path / "out"
-    belt = ["--seed", "3", "--tubers", "4", "--fps", "15", "--camera", "d405-848"]
-    subprocess.run([sys.executable, "-m", "tuberline", "simulate", "--out", recording, *belt], check=True, timeout=120)
+    simulate(recording, seed="3", tubers="4")
     link = {"router": f"tls/127.0.0.1:{free_port}", "certs": str(certs)}
     config = parse_config({"name": "replay", "link": link, "cameras": {"front": {}}}, where="of this test")
     make_certs(config, certs)

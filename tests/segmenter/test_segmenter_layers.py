@@ -58,21 +58,25 @@ def test_one_that_stands_on_end_in_a_single_layer_stays_on_the_belt() -> None:
     assert BeltLayers().support_m([STANDING], [usual] * 12) == 0.0
 
 
-def tracks(piled: float, seed: int) -> list[Track]:
+def frames(piled: float, seed: int) -> list[Frame]:
     layout = changed(SCENES["crowded"], piled=piled)
     settings = SceneSettings("crowded", seed, 40, EASY_PRESET, fps=10.0)
     source: SimulatedSource = simulated_sources(build_world(settings, layout), settings, layout)[0]
+    return [frame for frame in source.frames(run="r") if isinstance(frame, Frame)]
+
+
+def tracks(belt: list[Frame]) -> list[Track]:
     core, found = Segmenter(Settings()), []
-    for frame in source.frames(run="r"):
-        assert isinstance(frame, Frame)
+    for frame in belt:
         found += [closed.track for closed in core.step(frame).closed]
     return found + [closed.track for closed in core.finish()]
 
 
 @pytest.mark.parametrize(("piled", "least", "most"), [(0.0, 0, 0), (0.45, 5, 22)])
 def test_a_heap_is_found_and_a_crowded_belt_is_none(piled: float, least: int, most: int) -> None:
-    found = tracks(piled, seed=8801)
+    belt = frames(piled, seed=8801)
+    found = tracks(belt)
     on_others = [track for track in found if track.support_mm > 0]
     assert least <= len(on_others) <= most
     assert all(8 <= track.support_mm <= 80 and track.height_mm > 15 for track in on_others)
-    assert found == tracks(piled, seed=8801), "the same frames give the same tracks"
+    assert found == tracks(belt), "the same frames give the same tracks"
