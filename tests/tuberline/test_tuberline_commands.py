@@ -251,7 +251,8 @@ def test_bash_completes_what_is_begun(tmp_path: Path) -> None:
 
 
 def test_a_log_gets_no_bars(tmp_path: Path) -> None:
-    done = tuberline("simulate", "--out", tmp_path / "belt", "--tubers", "1", "--fps", "5", "--json")
+    small = ("--tubers", "1", "--fps", "5", "--camera", "d405-848")
+    done = tuberline("simulate", "--out", tmp_path / "belt", *small, "--json")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert json.loads(done.stdout)["tubers"] == 1

@@ -38,7 +38,7 @@ BELT = ("--tubers", "2", "--scene", "singulated", "--fps", "5", "--seed", "5", "
 WRITERS = {
     "simulate": lambda out, belt: ("simulate", "--out", out / "belt", *BELT),
     "simulate-mcap": lambda out, belt: ("simulate", "--out", out / "belt.mcap", *BELT),
-    "simulate-views": lambda out, belt: ("simulate-views", "--out", out / "views", "--tubers", "60", "--views", "1"),
+    "simulate-views": lambda out, belt: ("simulate-views", "--out", out / "views", "--tubers", "15", "--views", "1"),
     "convert": lambda out, belt: ("convert", belt, out / "belt.mcap"),
     "convert-ros2": lambda out, belt: ("convert", belt, out / "belt.mcap", "--format", "ros2"),
     "recover": lambda out, belt: ("recover", belt.with_suffix(".mcap"), "--out", out / "saved.mcap"),
