@@ -41,6 +41,9 @@ class BeltKeeper:
 
     A web of rods (`web`) stays as given: its rods are compared with it, and what is seen between them is the ground.
 
+    What of a drift the camera's own distances explain (`camera`) is no move of the belt: a given belt, a web too, is
+    looked for where they put it, however far off that is.
+
     A look that contradicts the belt given is a hand, a sheet or a board in front of it, or a camera that was knocked:
     there is no belt until it is seen again. Where the first `BELT_PATIENCE` looks of a run do, or all of a shorter one,
     it is an error.
