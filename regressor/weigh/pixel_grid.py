@@ -16,8 +16,9 @@ UNITS_M = (1e-3, 1e-4, 1e-5)
 """Depth units that cameras store; the last is fine enough for any, up to 0.65 m."""
 OFF_UNIT = 0.01
 """A depth is a multiple of a unit if it is off by less than this share of one: float32 leaves 0.0003 of 0.1 mm."""
-OFF_GRID = 0.05
-"""A point lies on the grid if it is off by less than this share of a pixel."""
+OFF_GRID = 0.3
+"""A point lies on the grid if it is off by less than this share of a pixel: 0.1 mm of rounding are 0.1 to 0.2 of one.
+Without a grid every point would have to fall so near by chance, three in five along each axis."""
 MOST_SIDE = 4096
 FEWEST_POINTS = 30
 FEWEST_BESIDE = 3.2
@@ -105,7 +106,8 @@ def _axis(tangents: NDArray[np.float64]) -> tuple[NDArray[np.int64], float, floa
     if span <= 0:
         return None
     # Values of one pixel differ by rounding alone, neighbours by a step: the gaps fall into two heaps far apart.
-    begins = np.concatenate([[0], np.flatnonzero(np.diff(found) > span / MOST_SIDE) + 1])
+    gaps = np.diff(found)
+    begins = np.concatenate([[0], np.flatnonzero(gaps > _between(gaps, span / MOST_SIDE)) + 1])
     if len(begins) < 3:
         return None
     apart = np.diff(np.add.reduceat(found, begins) / np.diff(begins, append=len(found)))
@@ -121,6 +123,15 @@ def _axis(tangents: NDArray[np.float64]) -> tuple[NDArray[np.int64], float, floa
     if float(off.max()) > OFF_GRID or float(pixel.max()) >= MOST_SIDE:
         return None
     return pixel.astype(np.int64), 1 / step, -first / step
+
+
+def _between(gaps: NDArray[np.float64], least: float) -> float:
+    """Where the gaps part into those within a pixel and those between two, which are `least` or more."""
+    wide = np.concatenate([[least], np.sort(gaps[gaps > least])])
+    if len(wide) < 3:
+        return least
+    at = int(np.argmax(wide[1:] / wide[:-1]))
+    return float(np.sqrt(wide[at] * wide[at + 1]))
 
 
 def _line(pixel: NDArray[np.float64], tangents: NDArray[np.float64]) -> tuple[float, float]:

@@ -45,13 +45,23 @@ def test_the_image_comes_back(unit_m: float, kind: type[np.floating]) -> None:
 
 
 @pytest.mark.parametrize("unit_m", [1e-3, 1e-4])
-def test_points_with_five_decimals_are_the_image_too(unit_m: float) -> None:
+@pytest.mark.parametrize("decimals", [5, 4])
+def test_points_with_few_decimals_are_the_image_too(unit_m: float, decimals: int) -> None:
     """The step was a little short, and over a tuber's width a pixel too many: such a file weighed 3 % less."""
     view, points = _view_and_cloud(unit_m, np.float64)
-    grid = pixel_grid(np.round(points, 5))
+    grid = pixel_grid(np.round(points, decimals))
     assert grid is not None
     assert np.array_equal(grid.depth, view.depth)
-    assert (grid.fx, grid.fy) == pytest.approx((view.intrinsics.fx, view.intrinsics.fy), rel=1e-4)
+    assert (grid.fx, grid.fy) == pytest.approx((view.intrinsics.fx, view.intrinsics.fy), rel=2e-4)
+
+
+def test_points_in_half_precision_are_nearly_the_image() -> None:
+    view, points = _view_and_cloud(1e-3, np.float16)
+    grid = pixel_grid(points)
+    assert grid is not None
+    assert np.array_equal(grid.depth > 0, view.depth > 0)
+    volume_ml = prepare_cloud(points, belt_distance_m=BELT_M).surface.volume_ml
+    assert volume_ml == pytest.approx(prepare_view(view).surface.volume_ml, rel=0.01)
 
 
 @pytest.mark.parametrize("scattered_m", [0.0, 2e-5])
