@@ -1,10 +1,11 @@
-"""16-bit PNG files, read with suspicion."""
+"""PNG files of depth and of labels, read with suspicion."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,10 +28,27 @@ _HEADER_SIZE = struct.Struct(">II")
 MISSING = Refusal("missing_file", "does not exist; its frame is a gap")
 BROKEN = Refusal("broken_png", "is truncated or no PNG; copy it again")
 NOT_16_BIT = Refusal("not_16_bit", "is no 16-bit single-channel PNG; write it as uint16")
+NO_LABELS = Refusal("no_labels", "is no PNG of one channel with 16 or 8 bits; write a label for each tuber as uint16")
 
 
 def read_png16(path: Path) -> NDArray[np.uint16] | Refusal:
     """(H, W) uint16, or why not."""
+    image = _read(path)
+    if isinstance(image, Refusal):
+        return image
+    return np.asarray(image, np.uint16) if image.dtype == np.uint16 and image.ndim == 2 else NOT_16_BIT
+
+
+def read_labels(path: Path) -> NDArray[np.uint16] | Refusal:
+    """(H, W) uint16 labels, of a file with 16 or 8 bits; or why not."""
+    image = _read(path)
+    if isinstance(image, Refusal):
+        return image
+    return np.asarray(image, np.uint16) if image.dtype in (np.uint16, np.uint8) and image.ndim == 2 else NO_LABELS
+
+
+def _read(path: Path) -> NDArray[Any] | Refusal:
+    """An image as it is in its file, or why not."""
     try:
         data = np.fromfile(path, np.uint8)
     except OSError:
@@ -38,11 +56,7 @@ def read_png16(path: Path) -> NDArray[np.uint16] | Refusal:
     if not is_whole_png(data):
         return BROKEN
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if image is None:
-        return BROKEN
-    if image.dtype != np.uint16 or image.ndim != 2:
-        return NOT_16_BIT
-    return np.asarray(image, np.uint16)
+    return BROKEN if image is None else np.asarray(image)
 
 
 def is_whole_png(data: NDArray[np.uint8]) -> bool:

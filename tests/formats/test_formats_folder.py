@@ -90,15 +90,28 @@ def test_an_8_bit_image_and_a_wrong_size_are_refused(small_recording: Path) -> N
     assert refused[3].reason == "wrong_size"
     assert "is 320x90, camera.json says 320x180" in refused[3].text
     mask = small_recording / "front" / "mask"
-    for seq, image in ((5, np.zeros((180, 320), np.uint8)), (6, np.zeros((90, 320), np.uint16))):
+    for seq, image in ((5, np.zeros((180, 320, 3), np.uint8)), (6, np.zeros((90, 320), np.uint16))):
         cv2.imwrite(str(mask / f"{seq:06d}.png"), image)
     refused = {item.seq: item for item in _items(small_recording) if isinstance(item, Refused)}
     assert refused[5].reason == refused[6].reason == "bad_mask"
     way_out = "; or ignore the masks (`replay --ignore-masks`, or ignore_masks in a line's file)"
-    assert refused[5].text.endswith(f"mask/000005.png is no 16-bit single-channel PNG; write it as uint16{way_out}")
+    assert refused[5].text.endswith(
+        f"mask/000005.png is no PNG of one channel with 16 or 8 bits; write a label for each tuber as uint16{way_out}"
+    )
     assert refused[6].text.endswith(f"mask/000006.png is 320x90, its depth 320x180{way_out}")
     unmasked = {item.seq: item for item in _items(small_recording, ignore_masks=True)}
     assert {seq for seq, item in unmasked.items() if isinstance(item, Refused)} == {1, 3}, "masks that are not used"
+
+
+def test_masks_of_8_bits_are_labels_too(small_recording: Path) -> None:
+    """Masks of other programs are; they were refused, each with its frame."""
+    (before,) = (item for item in _items(small_recording) if isinstance(item, Frame) and item.seq == 5)
+    assert before.mask is not None
+    assert before.mask.max() < 256
+    cv2.imwrite(str(small_recording / "front" / "mask" / "000005.png"), before.mask.astype(np.uint8))
+    (after,) = (item for item in _items(small_recording) if isinstance(item, Frame) and item.seq == 5)
+    assert np.array_equal(after.mask, before.mask)
+    assert after.mask.dtype == np.uint16
 
 
 def test_masks_that_are_no_frames_by_their_names_are_told(small_recording: Path) -> None:

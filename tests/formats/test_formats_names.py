@@ -174,8 +174,8 @@ def test_one_camera_without_a_readable_frame_keeps_no_other_from_being_counted(r
     assert check_readable(recorded) == ["front", "rear"]
     (recorded / "front" / "mask").mkdir(exist_ok=True)
     for file in (recorded / "front" / "depth").iterdir():
-        cv2.imwrite(str(recorded / "front" / "mask" / file.name), np.zeros((48, 64), np.uint8))
-    with pytest.raises(InputError, match=r"mask/000000\.png is no 16-bit.*or ignore the masks"):
+        cv2.imwrite(str(recorded / "front" / "mask" / file.name), np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(InputError, match=r"mask/000000\.png is no PNG of one channel.*or ignore the masks"):
         check_readable(recorded)
     assert check_readable(recorded, ignore_masks=True) == ["front", "rear"]
     for file in (recorded / "front" / "depth").iterdir():

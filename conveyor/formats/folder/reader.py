@@ -19,7 +19,7 @@ from conveyor.formats.folder.layout import (
     read_frame_rows,
     travel_going_on,
 )
-from conveyor.formats.png16 import Refusal, read_png16
+from conveyor.formats.png16 import Refusal, read_labels, read_png16
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.formats.within import plain_name
 from conveyor.messages import Frame
@@ -100,7 +100,7 @@ class FolderSource:
                 f"frame {row.seq}: {path} is {depth.shape[1]}x{depth.shape[0]}, camera.json says {k.width}x{k.height}",
             )
         mask_path = self._folder / "mask" / f"{row.seq:06d}.png"
-        mask = read_png16(mask_path) if self._masks and mask_path.is_file() else None
+        mask = read_labels(mask_path) if self._masks and mask_path.is_file() else None
         if isinstance(mask, Refusal):
             return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} {mask.text}{WITHOUT_MASKS}")
         if mask is not None and mask.shape != depth.shape:
