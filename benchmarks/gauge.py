@@ -164,11 +164,8 @@ def _weighed(
 
     On rods the line says so, with their pitch and diameter.
     """
-    gauge = world.gauge
-    resting = RestingLevel()
-    if gauge.kind == "rods":
-        resting = RestingLevel(surface="rods", rod_pitch_m=gauge.pitch_m, rod_diameter_m=gauge.rod_m)
-    segmenter = Segmenter(Settings(perception=PerceptionSettings(method="classical"), resting=resting))
+    settings = Settings(perception=PerceptionSettings(method="classical"), resting=resting_of(world))
+    segmenter = Segmenter(settings)
     if keeper is not None:
         segmenter.gauge = keeper
     closed: list[ClosedTrack] = []
@@ -182,6 +179,14 @@ def _weighed(
         if known:
             found.append((track.track.place_x_m, track.track.y_m, float(np.mean(known))))
     return np.array(found).reshape(-1, 3)
+
+
+def resting_of(world: GaugeWorld) -> RestingLevel:
+    """What the line says its tubers lie on."""
+    gauge = world.gauge
+    if gauge.kind != "rods":
+        return RestingLevel()
+    return RestingLevel(surface="rods", rod_pitch_m=gauge.pitch_m, rod_diameter_m=gauge.rod_m)
 
 
 def matched(*runs: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures_in_docs import put_table
-from benchmarks.gauge import MOST_DRIFT_PX, PRESETS, all_frames, matched
+from benchmarks.gauge import MOST_DRIFT_PX, PRESETS, all_frames, matched, resting_of
 from benchmarks.gauge_worlds import Disturbed, gauge_world
 from benchmarks.options import new_file, page_with, parser_of, whole_number
 from conveyor.camera_flags import SCALED_BY_TRAVEL
+from conveyor.gauge import GaugeKind
 from conveyor.messages import Frame
+from conveyor.resting import RestingLevel
 from regressor.weigh.weigher import Weigher, weigh_view
 from segmenter.belt_segmenter import Settings
 from segmenter.perception import PerceptionSettings
@@ -56,21 +58,22 @@ class TravelRow:
     needless: float
 
 
-def rows(seeds: range, *, tubers: int) -> Iterator[TravelRow]:
-    """A row for each seed."""
+def rows(seeds: range, *, tubers: int, kind: GaugeKind) -> Iterator[TravelRow]:
+    """A row for each seed; `kind`: of the body in view, at which no one looks."""
     weigher = Weigher.load()
     for seed in seeds:
         rng = np.random.default_rng([seed, 174])
         drift_px = float(rng.uniform(0.5, 1.0)) * (1.0 if rng.random() < 0.5 else -1.0) * MOST_DRIFT_PX
         off = 1 + ENCODER_OFF * (1.0 if rng.random() < 0.5 else -1.0)
         preset = PRESETS[seed % len(PRESETS)]
-        world = gauge_world("belt-width", seed, preset=preset, tubers=tubers)
+        world = gauge_world(kind, seed, preset=preset, tubers=tubers)
+        rest = resting_of(world)
         right, wrong = (all_frames(world, by) for by in (Disturbed(), Disturbed(drift_px=drift_px)))
-        true, _ = _weighed(right, weigher, by_travel=False)
-        without, _ = _weighed(wrong, weigher, by_travel=False)
-        gauged, scaled = _weighed(wrong, weigher, by_travel=True)
-        encoder_off, _ = _weighed([_told(frame, off) for frame in wrong], weigher, by_travel=True)
-        needless, _ = _weighed(right, weigher, by_travel=True)
+        true, _ = _weighed(right, weigher, rest, by_travel=False)
+        without, _ = _weighed(wrong, weigher, rest, by_travel=False)
+        gauged, scaled = _weighed(wrong, weigher, rest, by_travel=True)
+        encoder_off, _ = _weighed([_told(frame, off) for frame in wrong], weigher, rest, by_travel=True)
+        needless, _ = _weighed(right, weigher, rest, by_travel=True)
         grams = matched(true, without, gauged, encoder_off, needless)
         of_all, of_later = (100 * (g.sum(axis=0) / g[:, 0].sum() - 1) for g in (grams, grams[AFTER:]))
         yield TravelRow(
@@ -91,11 +94,13 @@ def _told(frame: Frame, off: float) -> Frame:
     return frame if frame.travel_m is None else replace(frame, travel_m=frame.travel_m * off)
 
 
-def _weighed(frames: Sequence[Frame], weigher: Weigher, *, by_travel: bool) -> tuple[NDArray[np.float64], int]:
+def _weighed(
+    frames: Sequence[Frame], weigher: Weigher, rest: RestingLevel, *, by_travel: bool
+) -> tuple[NDArray[np.float64], int]:
     """((n, 3) place on the belt, x and y in metres, and grams of each tuber that counted, in their order; how many were
     scaled).
     """
-    settings = Settings(perception=PerceptionSettings(method="classical"), scale_by_travel=by_travel)
+    settings = Settings(perception=PerceptionSettings(method="classical"), resting=rest, scale_by_travel=by_travel)
     segmenter = Segmenter(settings)
     closed: list[ClosedTrack] = []
     for frame in frames:
@@ -139,11 +144,13 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--loads", type=whole_number(1), default=12)
     parser.add_argument("--tubers", type=whole_number(1), default=TUBERS, help="of each load")
     parser.add_argument("--seed", type=whole_number(0), default=SEED)
+    parser.add_argument("--rods", action="store_true", help="webs of rods instead of flat belts")
     parser.add_argument("--out", type=new_file, help="rows as JSON")
     parser.add_argument("--page", type=page_with("travel_gauge"), help="put the table into this page")
     options = parser.parse_args(arguments)
     found = []
-    for row in rows(range(options.seed, options.seed + options.loads), tubers=options.tubers):
+    kind: GaugeKind = "rods" if options.rods else "belt-width"
+    for row in rows(range(options.seed, options.seed + options.loads), tubers=options.tubers, kind=kind):
         found.append(row)
         print(row, flush=True)
         if options.out is not None:
