@@ -25,7 +25,7 @@ def test_a_frozen_node_and_one_whose_loop_is_stuck_are_started_again(
 
     def disturb(line: DisturbedLine) -> None:
         line.wait_count("frames_processed", 6)
-        line.signal("segmenter-left", signal.SIGHUP)
+        line.signal("segmenter-left", signal.SIGALRM)
         line.signal("aggregator", signal.SIGSTOP)
         line.wait(
             lambda: line.supervisor.restarts["segmenter-left"] and line.supervisor.restarts["aggregator"],

@@ -1,5 +1,5 @@
 """On PYTHONPATH of a real process: SIGUSR1 makes it hold the interpreter lock for 3 s, SIGUSR2 forever.
-SIGHUP makes its main thread sleep, while all others go on.
+SIGALRM makes its main thread sleep, while all others go on.
 
 It is what a native call does that never lets go: no Python thread runs, and Zenoh keeps the liveliness token.
 """
@@ -24,6 +24,6 @@ def sleep(_number: int, _frame: FrameType | None) -> None:
     time.sleep(100_000)
 
 
-signal.signal(signal.SIGHUP, sleep)
+signal.signal(signal.SIGALRM, sleep)
 for _number in SECONDS:
     signal.signal(_number, hold)
