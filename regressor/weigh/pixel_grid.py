@@ -128,10 +128,10 @@ def _axis(tangents: NDArray[np.float64]) -> tuple[NDArray[np.int64], float, floa
 def _between(gaps: NDArray[np.float64], least: float) -> float:
     """Where the gaps part into those within a pixel and those between two, which are `least` or more."""
     wide = np.concatenate([[least], np.sort(gaps[gaps > least])])
-    if len(wide) < 3:
+    if len(wide) < 3 or least == 0:  # too narrow for a difference
         return least
     at = int(np.argmax(wide[1:] / wide[:-1]))
-    return float(np.sqrt(wide[at] * wide[at + 1]))
+    return float(np.sqrt(wide[at]) * np.sqrt(wide[at + 1]))
 
 
 def _line(pixel: NDArray[np.float64], tangents: NDArray[np.float64]) -> tuple[float, float]:
