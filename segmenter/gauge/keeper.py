@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from conveyor.camera_flags import DEPTH_DRIFT, DEPTH_DRIFT_BEYOND, MOUNT_MOVED, RODS_UNSEEN
 from conveyor.gauge import Gauge
 from conveyor.geometry import straight_down_belt_from_camera
@@ -14,14 +11,12 @@ from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import CHECK_EVERY
 from segmenter.frame.plane import fit_plane
+from segmenter.gauge.drift import without_drift
 from segmenter.gauge.estimate import REFERENCE_LOOKS, Cause, GaugeEstimate, GaugeReading
 from segmenter.gauge.look import look_at
 
 LEARNING_EVERY = 5
 """Frames between the first looks: the belt may be empty then, and the gauge seen well."""
-COARSE_M, FINER = 0.0005, 10
-"""Depth in units from the first on is told in units of a tenth of them: a correction that is rounded to whole
-millimetres again moves each depth by up to half of one, a belt by as much, and a load by 1 %."""
 CAUSES = {Cause.NONE: 0.0, Cause.MOUNT: 1.0, Cause.DRIFT: 2.0, Cause.BOTH: 3.0}
 """As levels tell them."""
 
@@ -38,7 +33,6 @@ class GaugeKeeper:
         self._belt: BeltGeometry | None = None
         self._frames = 0
         self._tried = self._looks = 0
-        self._table: tuple[float, NDArray[np.uint16]] | None = None
         self._moved: tuple[float, BeltGeometry] | None = None
 
     def corrected(self, frame: Frame) -> Frame:
@@ -52,7 +46,9 @@ class GaugeKeeper:
         if self._frames % every == 0:
             self.look(frame)
         self._frames += 1
-        return self._without(frame, 0.0 if self.reading is None else self.reading.correction_per_m)
+        drift_per_m = 0.0 if self.reading is None else self.reading.correction_per_m
+        depth, unit_m = without_drift(frame.depth, depth_scale_m=frame.depth_scale_m, drift_per_m=drift_per_m)
+        return frame if depth is frame.depth else replace(frame, depth=depth, depth_scale_m=unit_m)
 
     @property
     def _unseen(self) -> bool:
@@ -123,25 +119,3 @@ class GaugeKeeper:
             self._looks += 1
             self._estimate.add(look)
             self.reading = self._estimate.reading()
-
-    def _without(self, frame: Frame, drift_per_m: float) -> Frame:
-        finer = FINER if frame.depth_scale_m >= COARSE_M else 1
-        if drift_per_m == 0 and finer == 1:
-            return frame
-        if self._table is None or self._table[0] != drift_per_m:
-            table = depth_table(drift_per_m, depth_scale_m=frame.depth_scale_m, finer=finer)
-            self._table = drift_per_m, table
-        return replace(frame, depth=self._table[1][frame.depth], depth_scale_m=frame.depth_scale_m / finer)
-
-
-def depth_table(drift_per_m: float, *, depth_scale_m: float, finer: int = 1) -> NDArray[np.uint16]:
-    """(65536,) uint16: the depth that each depth value stands for when 1/z is too large by `drift_per_m`.
-
-    Args:
-        depth_scale_m: metres per unit of the values. finer: units of the depth in one of theirs.
-    """
-    units = np.arange(1 << 16, dtype=np.float64)
-    inverse = 1 / (np.maximum(units, 1) * depth_scale_m) - drift_per_m
-    right = np.where(inverse > 0, np.round(finer / np.maximum(inverse, 1e-9) / depth_scale_m), 0)
-    right[(right > 65535) | (units == 0)] = 0
-    return right.astype(np.uint16)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-
-import numpy as np
-from numpy.typing import NDArray
 
 from conveyor.camera_flags import OUTLINE_GROWN, OUTLINE_LOST, SCALED_BY_TRAVEL
 from conveyor.geometry import belt_distance_m
 from conveyor.messages import View
-from segmenter.gauge.keeper import COARSE_M, FINER, depth_table
+from segmenter.gauge.drift import without_drift
 from segmenter.outline.growth import without_growth
 from segmenter.outline.watch import OutlineReading
 
@@ -68,17 +64,11 @@ class CameraCorrection:
         seen_m = belt_distance_m(view.belt_from_camera)
         pose = view.belt_from_camera.copy()
         pose[:3, 3] *= self.true_m(seen_m) / seen_m
-        finer = FINER if view.depth_scale_m >= COARSE_M else 1
-        depth = _table(self.drift_per_m, view.depth_scale_m, finer)[view.depth]
-        return replace(view, depth=depth, depth_scale_m=view.depth_scale_m / finer, belt_from_camera=pose)
+        depth, unit_m = without_drift(view.depth, depth_scale_m=view.depth_scale_m, drift_per_m=self.drift_per_m)
+        return replace(view, depth=depth, depth_scale_m=unit_m, belt_from_camera=pose)
 
 
 NOTHING_OFF = CameraCorrection()
-
-
-@lru_cache(maxsize=4)
-def _table(drift_per_m: float, depth_scale_m: float, finer: int) -> NDArray[np.uint16]:
-    return depth_table(drift_per_m, depth_scale_m=depth_scale_m, finer=finer)
 
 
 def correction_of(reading: OutlineReading | None, *, focal_px: float, by_travel: bool) -> CameraCorrection:

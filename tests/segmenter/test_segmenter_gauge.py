@@ -29,8 +29,9 @@ from segmenter.frame.belt_keeper import BeltKeeper
 from segmenter.frame.constants import REFUSE_M
 from segmenter.frame.plane import BeltCheck
 from segmenter.frame.watch import BeltWatch
+from segmenter.gauge.drift import depth_table
 from segmenter.gauge.estimate import LEAST_LOOKS, REFERENCE_LOOKS, Cause, read
-from segmenter.gauge.keeper import GaugeKeeper, depth_table
+from segmenter.gauge.keeper import GaugeKeeper
 from segmenter.gauge.look import GaugeLook
 from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Segmenter

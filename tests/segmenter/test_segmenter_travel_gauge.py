@@ -16,7 +16,7 @@ from conveyor.errors import ConfigError
 from conveyor.geometry import belt_distance_m
 from conveyor.messages import Frame
 from regressor.weigh.prepare import prepare_view
-from segmenter.gauge.keeper import depth_table
+from segmenter.gauge.drift import depth_table
 from segmenter.outline.correction import CameraCorrection, correction_of, scale_error
 from segmenter.outline.watch import OutlineReading
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings
