@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -33,22 +32,16 @@ NO_LABELS = Refusal("no_labels", "is no PNG of one channel with 16 or 8 bits; wr
 
 def read_png16(path: Path) -> NDArray[np.uint16] | Refusal:
     """(H, W) uint16, or why not."""
-    image = _read(path)
-    if isinstance(image, Refusal):
-        return image
-    return np.asarray(image, np.uint16) if image.dtype == np.uint16 and image.ndim == 2 else NOT_16_BIT
+    return _read(path, (np.uint16,), otherwise=NOT_16_BIT)
 
 
 def read_labels(path: Path) -> NDArray[np.uint16] | Refusal:
     """(H, W) uint16 labels, of a file with 16 or 8 bits; or why not."""
-    image = _read(path)
-    if isinstance(image, Refusal):
-        return image
-    return np.asarray(image, np.uint16) if image.dtype in (np.uint16, np.uint8) and image.ndim == 2 else NO_LABELS
+    return _read(path, (np.uint16, np.uint8), otherwise=NO_LABELS)
 
 
-def _read(path: Path) -> NDArray[Any] | Refusal:
-    """An image as it is in its file, or why not."""
+def _read(path: Path, types: tuple[type, ...], *, otherwise: Refusal) -> NDArray[np.uint16] | Refusal:
+    """(H, W) uint16 of an image of one channel and one of `types`, or why not."""
     try:
         data = np.fromfile(path, np.uint8)
     except OSError:
@@ -56,7 +49,9 @@ def _read(path: Path) -> NDArray[Any] | Refusal:
     if not is_whole_png(data):
         return BROKEN
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    return BROKEN if image is None else np.asarray(image)
+    if image is None:
+        return BROKEN
+    return np.asarray(image, np.uint16) if image.dtype in types and image.ndim == 2 else otherwise
 
 
 def is_whole_png(data: NDArray[np.uint8]) -> bool:
