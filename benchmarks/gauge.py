@@ -137,9 +137,12 @@ def loads(kind: GaugeKind, seeds: range, *, tubers: int = TUBERS) -> Iterator[Lo
         for frames, looks in ((right, REFERENCE_LOOKS), (wrong, LOOKS_AFTER)):
             for at in np.linspace(0, len(frames) - 1, looks).round().astype(int):
                 keeper.look(frames[at])
-        before = _weighed(world, right, None, weigher)
-        without = _weighed(world, wrong, None, weigher)
-        with_gauge = _weighed(world, wrong, keeper, weigher)
+        settings = settings_of(world)
+        gauged = Segmenter(settings)
+        gauged.gauge = keeper
+        before, _ = weighed(Segmenter(settings), right, weigher)
+        without, _ = weighed(Segmenter(settings), wrong, weigher)
+        with_gauge, _ = weighed(gauged, wrong, weigher)
         true_g, without_g, with_g = matched(before, without, with_gauge).sum(axis=0)
         yield LoadRow(
             kind=kind,
@@ -157,17 +160,12 @@ def all_frames(world: GaugeWorld, by: Disturbed) -> list[Frame]:
     return [item for item in world.source(by).frames(run="load") if isinstance(item, Frame)]
 
 
-def _weighed(
-    world: GaugeWorld, frames: Sequence[Frame], keeper: GaugeKeeper | None, weigher: Weigher
-) -> NDArray[np.float64]:
-    """(n, 3) place on the belt, x and y in metres, and weight in grams, of each tuber that the segmenter counted.
-
-    On rods the line says so, with their pitch and diameter.
+def weighed(
+    segmenter: Segmenter, frames: Sequence[Frame], weigher: Weigher
+) -> tuple[NDArray[np.float64], list[ClosedTrack]]:
+    """((n, 3) place on the belt, x and y in metres, and weight in grams, of each tuber that counted, in their order;
+    the tracks).
     """
-    settings = Settings(perception=PerceptionSettings(method="classical"), resting=resting_of(world))
-    segmenter = Segmenter(settings)
-    if keeper is not None:
-        segmenter.gauge = keeper
     closed: list[ClosedTrack] = []
     for item in frames:
         closed += segmenter.step(item).closed
@@ -178,19 +176,21 @@ def _weighed(
         known = [g for g in grams if g is not None]
         if known:
             found.append((track.track.place_x_m, track.track.y_m, float(np.mean(known))))
-    return np.array(found).reshape(-1, 3)
+    return np.array(found).reshape(-1, 3), closed
 
 
-def resting_of(world: GaugeWorld) -> RestingLevel:
-    """What the line says its tubers lie on."""
+def settings_of(world: GaugeWorld, *, scale_by_travel: bool = False) -> Settings:
+    """Of a segmenter that counts everything; on rods the line says so, with their pitch and diameter."""
     gauge = world.gauge
-    if gauge.kind != "rods":
-        return RestingLevel()
-    return RestingLevel(surface="rods", rod_pitch_m=gauge.pitch_m, rod_diameter_m=gauge.rod_m)
+    resting = RestingLevel()
+    if gauge.kind == "rods":
+        resting = RestingLevel(surface="rods", rod_pitch_m=gauge.pitch_m, rod_diameter_m=gauge.rod_m)
+    perception = PerceptionSettings(method="classical")
+    return Settings(perception=perception, resting=resting, scale_by_travel=scale_by_travel)
 
 
 def matched(*runs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, runs) weights of the tubers that all runs have; places and weights as `_weighed` gives them."""
+    """(n, runs) weights of the tubers that all runs have; places and weights as `weighed` gives them."""
     rows = []
     for tuber in runs[0]:
         apart = [np.hypot(*(run[:, :2] - tuber[:2]).T) for run in runs]

@@ -12,21 +12,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.figures_in_docs import put_table
-from benchmarks.gauge import MOST_DRIFT_PX, PRESETS, all_frames, matched, resting_of
+from benchmarks.gauge import MOST_DRIFT_PX, PRESETS, all_frames, matched, settings_of, weighed
 from benchmarks.gauge_worlds import Disturbed, gauge_world
 from benchmarks.options import new_file, page_with, parser_of, whole_number
 from conveyor.camera_flags import SCALED_BY_TRAVEL
 from conveyor.gauge import GaugeKind
 from conveyor.messages import Frame
-from conveyor.resting import RestingLevel
-from regressor.weigh.weigher import Weigher, weigh_view
-from segmenter.belt_segmenter import Settings
-from segmenter.perception import PerceptionSettings
+from regressor.weigh.weigher import Weigher
 from segmenter.pipeline import Segmenter
-from segmenter.results import ClosedTrack
 
 SEED = 8300
 TUBERS = 48
@@ -67,13 +62,13 @@ def rows(seeds: range, *, tubers: int, kind: GaugeKind) -> Iterator[TravelRow]:
         off = 1 + ENCODER_OFF * (1.0 if rng.random() < 0.5 else -1.0)
         preset = PRESETS[seed % len(PRESETS)]
         world = gauge_world(kind, seed, preset=preset, tubers=tubers)
-        rest = resting_of(world)
+        plain, by_travel = settings_of(world), settings_of(world, scale_by_travel=True)
         right, wrong = (all_frames(world, by) for by in (Disturbed(), Disturbed(drift_px=drift_px)))
-        true, _ = _weighed(right, weigher, rest, by_travel=False)
-        without, _ = _weighed(wrong, weigher, rest, by_travel=False)
-        gauged, scaled = _weighed(wrong, weigher, rest, by_travel=True)
-        encoder_off, _ = _weighed([_told(frame, off) for frame in wrong], weigher, rest, by_travel=True)
-        needless, _ = _weighed(right, weigher, rest, by_travel=True)
+        true, _ = weighed(Segmenter(plain), right, weigher)
+        without, _ = weighed(Segmenter(plain), wrong, weigher)
+        gauged, closed = weighed(Segmenter(by_travel), wrong, weigher)
+        encoder_off, _ = weighed(Segmenter(by_travel), [_told(frame, off) for frame in wrong], weigher)
+        needless, _ = weighed(Segmenter(by_travel), right, weigher)
         grams = matched(true, without, gauged, encoder_off, needless)
         of_all, of_later = (100 * (g.sum(axis=0) / g[:, 0].sum() - 1) for g in (grams, grams[AFTER:]))
         yield TravelRow(
@@ -81,7 +76,7 @@ def rows(seeds: range, *, tubers: int, kind: GaugeKind) -> Iterator[TravelRow]:
             preset=preset,
             drift_px=round(drift_px, 3),
             tubers=len(grams),
-            scaled=scaled,
+            scaled=sum(SCALED_BY_TRAVEL in one.track.flags for one in closed),
             without=round(float(of_all[1]), 2),
             gauged=round(float(of_all[2]), 2),
             later=round(float(of_later[2]), 2),
@@ -92,28 +87,6 @@ def rows(seeds: range, *, tubers: int, kind: GaugeKind) -> Iterator[TravelRow]:
 
 def _told(frame: Frame, off: float) -> Frame:
     return frame if frame.travel_m is None else replace(frame, travel_m=frame.travel_m * off)
-
-
-def _weighed(
-    frames: Sequence[Frame], weigher: Weigher, rest: RestingLevel, *, by_travel: bool
-) -> tuple[NDArray[np.float64], int]:
-    """((n, 3) place on the belt, x and y in metres, and grams of each tuber that counted, in their order; how many were
-    scaled).
-    """
-    settings = Settings(perception=PerceptionSettings(method="classical"), resting=rest, scale_by_travel=by_travel)
-    segmenter = Segmenter(settings)
-    closed: list[ClosedTrack] = []
-    for frame in frames:
-        closed += segmenter.step(frame).closed
-    closed += segmenter.finish()
-    found = []
-    for track in closed:
-        grams = [weigh_view(weigher, view, regressor="bench").weight_g for view in track.views]
-        known = [g for g in grams if g is not None]
-        if known:
-            found.append((track.track.place_x_m, track.track.y_m, float(np.mean(known))))
-    scaled = sum(SCALED_BY_TRAVEL in one.track.flags for one in closed)
-    return np.array(found).reshape(-1, 3), scaled
 
 
 def table(found: Sequence[TravelRow]) -> str:
