@@ -201,6 +201,7 @@ class Node:
             self._end(PERMANENT)
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        notify("STOPPING=1")
         self.stop.set()
         self._leave_within(STOP_WITHIN_S, f"of signal {number}", code=FAULT)
 

@@ -1,7 +1,8 @@
 """What a supervised process says of itself, by systemd's notification protocol: that it starts, is ready, and moves.
 
 A node says WATCHDOG=1 while its loop turns (`conveyor.node`), for systemd and for the supervisor of `tuberline run` and
-`replay` alike. While it starts, a thread of it says that it is there (`tuberline.orphan`).
+`replay` alike. While it starts, a thread of it says that it is there (`tuberline.orphan`). A signal that ends it makes
+it say STOPPING=1: what has finished its work does not.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class Heartbeat:
         self.environment: dict[str, str] = {"NOTIFY_SOCKET": ""}
         self._channel: socket.socket | None = None
         self._ready = False
+        self._told_to_end = False
         self._heard_s = now_s
         self._start_until_s = now_s + patience * START_WITHIN_S
         name = f"tuberline-{os.getpid()}-{next(_numbers)}"
@@ -53,6 +55,11 @@ class Heartbeat:
         """Start counting again: no one could listen for a while."""
         self._heard_s = now_s
         self._start_until_s = max(self._start_until_s, now_s + self._still_after_s)
+
+    def told_to_end(self, now_s: float) -> bool:
+        """Somebody ended the process by a signal that it listens to."""
+        self._listen(now_s)
+        return self._told_to_end
 
     def standstill(self, now_s: float) -> str:
         """Take what the process said; in words for how long it has stood still, empty while it has not for too long."""
@@ -78,6 +85,8 @@ class Heartbeat:
         key, _, value = line.partition("=")
         if key == "READY":
             self._ready = True
+        if key == "STOPPING":
+            self._told_to_end = True
         if key == "EXTEND_TIMEOUT_USEC" and value.isdecimal():
             self._start_until_s = max(self._start_until_s, now_s + int(value) / 1e6)
         if key in ("READY", "WATCHDOG", "EXTEND_TIMEOUT_USEC") or not self._ready:

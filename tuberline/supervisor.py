@@ -30,6 +30,8 @@ HEALTHY_AFTER_S = 30.0
 STOP_WITHIN_S = 4.0
 LOOK_EVERY_S = 0.1
 LOOK_AT_WAITS_EVERY_S = 1.0
+TOLD_AGAIN_AFTER_S = 2.0
+"""Who ends a whole line or a terminal tells its nodes, too, and sometimes first."""
 MOST_PATIENCE = 8
 """Each standstill doubles the time for the next one up to this factor: what only is slow gets done at last."""
 WORD = "tuberline: "
@@ -84,9 +86,10 @@ class _Child:
 class Supervisor:
     """Starts children in the order given, restarts the crashed and the stuck, stops all on exit. A context manager.
 
-    A thread of its own watches from the first moment. A child that exits with 0 is done, one that exits with
-    `PERMANENT` gave up until its config changes; every other one is started again. A standstill is one in the child's
-    own time: what waits for a processor is slow, and starting it again would only cost it what it has done.
+    A thread of its own watches from the first moment. A child that exits with 0 is done, unless somebody else told it
+    to end; one that exits with `PERMANENT` gave up until its config changes; every other one is started again. A
+    standstill is one in the child's own time: what waits for a processor is slow, and starting it again would only
+    cost it what it has done.
 
     Args:
         specs: what to run.
@@ -272,6 +275,8 @@ class Supervisor:
                 child.process.wait()
 
     def _start_again(self, child: _Child, now: float) -> None:
+        if child.exits[-1:] == [0]:
+            log.error("%s was told to end, though not by this line: it is started again", child.spec.name)
         try:
             self._start(child)
             child.restarts += 1
@@ -316,6 +321,9 @@ class Supervisor:
     def _exited(self, child: _Child, code: int, now: float) -> None:
         child.process = None
         child.exits.append(code)
+        if code == 0 and child.heartbeat is not None and child.heartbeat.told_to_end(now):
+            child.not_before = now + TOLD_AGAIN_AFTER_S
+            return
         # A router that held its port and finds it taken when it comes back waits for it.
         if code == 0 or (code == PERMANENT and not (child.spec.is_router and child.restarts)):
             child.done = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import signal
 import socket
 import subprocess
@@ -151,6 +152,36 @@ def test_what_gave_up_says_why_and_is_started_again_when_its_config_changes(
             assert supervisor.failures == {"camera-left": PERMANENT}
             assert supervisor.restarts["camera-left"] >= restarts
     assert f"; it is started again when {path} changes" in caplog.text
+
+
+def test_a_node_that_somebody_else_ends_is_started_again(
+    tmp_path: Path, free_port: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """By its own process id, as a guard of the memory does: it left well, so a replay waited for it forever."""
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    path = tmp_path / "line.toml"
+    path.write_text(dump_toml(LineConfig(link=LinkConfig(router=endpoint))))
+    specs = [
+        ProcessSpec("router", ("router", "--listen", endpoint)),
+        ProcessSpec("recorder", ("recorder", "--config", str(path), "--out", str(tmp_path / "belt.mcap"))),
+    ]
+    told = "recorder was told to end, though not by this line: it is started again"
+    with Supervisor(specs, log_dir=tmp_path) as supervisor:
+        wait_until(lambda: "started run=" in supervisor.log_tail("recorder"), what="the recorder")
+        first = supervisor.pid("recorder")
+        assert first is not None
+        os.kill(first, signal.SIGTERM)
+        wait_until(lambda: supervisor.pid("recorder") not in (None, first), what="another one")
+        assert supervisor.restarts == {"router": 0, "recorder": 1}
+        assert supervisor.crashes == {"router": 0, "recorder": 0}
+        assert not supervisor.finished("recorder")
+        assert caplog.text.count(told) == 1
+        wait_until(lambda: supervisor.log_tail("recorder").count("started run=") == 2, what="its start")
+        second = supervisor.pid("recorder")
+        assert second is not None
+        os.kill(second, signal.SIGTERM)
+        wait_until(lambda: supervisor.pid("recorder") is None, what="its end")
+    assert caplog.text.count(told) == 1  # the whole line is told a moment later
 
 
 def test_a_process_that_stands_still_is_killed_and_started_again(

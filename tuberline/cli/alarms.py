@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,12 +33,11 @@ def alarms(config: Path, *, test: bool = False) -> None:
     if test:
         _try(line.name, channels)
         return
-    from conveyor.notify import notify
+    from conveyor.notify import notify, stop_when_told
     from tuberline.alarms.service import STEP_EVERY_S, AlarmService
 
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop_when_told(stop)
     with AlarmService(line, channels) as service:
         shown = ", ".join(channel.shown for channel in channels)
         logging.getLogger("alarms").info("alarms of line %s go to %s", line.name, shown)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import threading
 from dataclasses import replace
 
@@ -18,7 +17,7 @@ def metrics(*, address: LineAddress = NO_ADDRESS, listen: str = "127.0.0.1:9108"
     listen
         HOST:PORT to serve /metrics on; 127.0.0.1 unless Prometheus runs elsewhere.
     """
-    from conveyor.notify import notify
+    from conveyor.notify import notify, stop_when_told
     from conveyor.observer import Observer
     from conveyor.served import ServedAt
     from tuberline.metrics import serving
@@ -26,8 +25,7 @@ def metrics(*, address: LineAddress = NO_ADDRESS, listen: str = "127.0.0.1:9108"
     at = ServedAt.parse(listen, option="--listen", example="127.0.0.1:9108")
     link, name = address.link()
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop_when_told(stop)
     with Observer(link, line=name) as observer, serving(observer, at) as port:
         logging.getLogger("metrics").info("line %s at http://%s/metrics", name, replace(at, port=port))
         notify("READY=1")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import secrets
-import signal
 import sys
 import threading
 from dataclasses import replace
@@ -53,7 +52,7 @@ def page(
         empty file.
     """
     from conveyor.access import known_nodes
-    from conveyor.notify import notify
+    from conveyor.notify import notify, stop_when_told
     from conveyor.served import ServedAt
     from viewer.page.acting import Acting
     from viewer.page.board import Board
@@ -72,8 +71,7 @@ def page(
     if len(set(names)) < len(names):
         raise ConfigError(f"two of the lines have the same name: {', '.join(names)}; give each its own")
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop_when_told(stop)
     board, pictures, maps = Board(names), Pictures(), FieldMaps()
     links = {name: address.link()[0] for address, name in zip(addresses, names, strict=True)}
     token = _token(token_file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import threading
 import time
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 from conveyor.access import router_access
 from conveyor.config import LineConfig, load_config
 from conveyor.heap import GIVE_BACK_EVERY_S, give_back
-from conveyor.notify import notify
+from conveyor.notify import notify, stop_when_told
 from conveyor.session import open_router
 from conveyor.taken_port import check_port_free
 from tuberline.cli.address import endpoint
@@ -37,8 +36,7 @@ def router(*, config: Path | None = None, listen: str | None = None) -> None:
     if listen:
         link = link.model_copy(update={"listen": (endpoint(listen),)})
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop_when_told(stop)
     check_port_free(link, stop=stop.is_set)
     with open_router(link, access_control=router_access(line)):
         logging.getLogger("router").info("listening on %s", ", ".join(link.listen or (link.router,)))

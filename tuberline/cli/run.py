@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from conveyor.config import LineConfig, load_config
 from conveyor.errors import ConfigError, TuberlineError
+from conveyor.notify import stop_when_told
 from conveyor.observer import observer_when_there
 from conveyor.taken_port import check_port_free
 from tuberline.cli.named_files import check_access, unreadable_files
@@ -56,8 +56,7 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     shown = sys.stderr.isatty()
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    stop_when_told(stop)
     specs = line_processes(line, config_path=config.resolve(), run=run_id, router=not no_router)
     log_dir = logs or (line.aggregator.out / "logs" if shown else None)
     if not no_router:
