@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +20,7 @@ import pytest
 from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.reader import read_tubers, reading
 from aggregator.ledger.writer import Ledger
-from conveyor.errors import InputError, LedgerError, LinkError
+from conveyor.errors import InputError, LedgerError, LinkError, TakenError
 from conveyor.messages import LoadOrder
 from tests.aggregator.loaded_story import told_with_loads
 from tests.sync.postgres import Postgres
@@ -145,6 +146,68 @@ def test_the_link_is_cut_again_and_again(empty: Postgres, ledger: Path, monkeypa
                 break
     assert cuts >= 3
     assert tubers_there(empty) == tubers_of(ledger)
+
+
+def test_two_syncs_of_one_ledger_bring_it_one_after_the_other(
+    empty: Postgres, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sync by hand while the one of the line was at it failed by a duplicate key; or it brought the loads without a
+    ticket that had been entered, and synced, meanwhile.
+    """
+    path, failed = tmp_path / "ledger.db", list[Exception]()
+    with Ledger(path) as written:
+        told_with_loads(written)
+    plain, other = push_module._row, list[threading.Thread]()
+
+    def second() -> None:
+        try:
+            with connect(empty.url) as connection:
+                assert push(connection, path).tubers == 0
+        except Exception as error:
+            failed.append(error)
+
+    def slow(run_id: int, tuber: object) -> object:
+        if not other:
+            assert order_at_rest(path, LoadOrder("t", "ticket", by="me", load="A", kg=1.0)).done
+            other.append(threading.Thread(target=second))
+            other[0].start()
+            assert waits_or_ends(empty, other[0])
+        return plain(run_id, tuber)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(push_module, "_row", slow)
+    with connect(empty.url) as connection:
+        push(connection, path)
+    other[0].join(60)
+    assert failed == []
+    with psycopg.connect(empty.url) as connection:
+        tickets = connection.execute("SELECT ticket_kg FROM tuberline.load ORDER BY place").fetchall()
+    assert tickets == [(1.0,), (None,), (None,)]
+
+
+def waits_or_ends(server: Postgres, sync: threading.Thread) -> bool:
+    """Whether the server tells of one who waits for a lock, or `sync` is over."""
+    deadline_s = time.monotonic() + 30
+    with psycopg.connect(server.url, autocommit=True) as connection:
+        while time.monotonic() < deadline_s:
+            waiting = "SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'"
+            if not sync.is_alive() or connection.execute(waiting).fetchone() != (0,):
+                return True
+            time.sleep(0.02)
+    return False
+
+
+def test_a_sync_that_does_not_end_is_told(empty: Postgres, ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(push_module._SERVER, "lock_timeout", "200ms")
+    with (
+        connect(empty.url) as first,
+        connect(empty.url) as second,
+        push_module._alone(first, ledger / "ledger.db"),
+        pytest.raises(TakenError, match="is being synced by another process"),
+    ):
+        push(second, ledger)
+    assert tubers_there(empty) == []
+    with connect(empty.url) as third:
+        assert push(third, ledger).tubers == TUBERS
 
 
 def test_a_run_that_began_before_the_others_counts_no_load_twice(empty: Postgres, tmp_path: Path) -> None:

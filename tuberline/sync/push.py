@@ -6,8 +6,10 @@ Each tuber carries a checksum of its ledger row, by which a database that holds 
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import islice
@@ -22,7 +24,7 @@ from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import LedgerView, RunRow, ledger_file, read_runs, read_summary, read_tubers, reading
 from aggregator.ledger.schema import LOAD_EVENT, checksum
 from aggregator.ledger.totals_by import labelled, together_of
-from conveyor.errors import InputError, LinkError
+from conveyor.errors import InputError, LinkError, TakenError
 from conveyor.extras import install_hint
 from conveyor.messages import Tuber
 from conveyor.messages.base import plain
@@ -34,6 +36,8 @@ CONNECT_WITHIN_S = 10
 SILENT_S = 20
 """A link that was cut without a word is given up after this, by us and by the server: else its open transaction would
 hold the tables until TCP gives up, hours later."""
+LOCK_S = 2 * SILENT_S
+"""So long tables, or another sync of the same ledger, are waited for."""
 _LINK: dict[str, Any] = {
     "keepalives_idle": 10,
     "keepalives_interval": 5,
@@ -42,7 +46,7 @@ _LINK: dict[str, Any] = {
 }
 _SERVER = {
     "idle_in_transaction_session_timeout": f"{SILENT_S}s",
-    "lock_timeout": f"{2 * SILENT_S}s",
+    "lock_timeout": f"{LOCK_S}s",
     "tcp_keepalives_idle": "10",
     "tcp_keepalives_interval": "5",
     "tcp_keepalives_count": "2",
@@ -103,13 +107,14 @@ def push(connection: Any, path: Path) -> Pushed:
         LinkError: the connection was cut; what was committed is there, and the next sync goes on.
         InputError: the database holds other tubers under this line's and run's name, or later words of its loads.
         LedgerError: the ledger cannot be trusted.
+        TakenError: another sync brings this ledger, and has not ended within 40 s.
     """
     import psycopg
 
     file = ledger_file(path)
     pushed = Pushed()
     try:
-        with reading(file) as view:
+        with _alone(connection, file), reading(file) as view:
             with connection.transaction():
                 begun = [_begun(connection, view, run) for run in read_runs(view)]
                 run_ids = [run.run_id for run in begun]
@@ -124,6 +129,35 @@ def push(connection: Any, path: Path) -> Pushed:
     except psycopg.Error as error:
         raise InputError(f"the database refused what ledger {file} holds: {_first_line(error)}") from error
     return pushed
+
+
+@contextmanager
+def _alone(connection: Any, file: Path) -> Iterator[None]:
+    """Within this block no other sync brings this ledger: what it read before we wrote must not take the place of that.
+
+    Entered before the ledger is read, and so with what another sync that has just ended has brought. The server lets go
+    of it with our connection.
+    """
+    import psycopg
+
+    with reading(file) as view:
+        runs = read_runs(view)
+    if not runs:
+        yield
+        return
+    told = repr((runs[0].line, runs[0].run, runs[0].started_ns)).encode()  # of a ledger's copies too
+    key = int.from_bytes(hashlib.blake2b(told, digest_size=8).digest(), signed=True)
+    try:
+        connection.execute("SELECT pg_advisory_lock(%s)", (key,))
+    except psycopg.errors.LockNotAvailable as error:
+        raise TakenError(
+            f"ledger {file} is being synced by another process for more than {LOCK_S} s: let that one end, or stop it"
+        ) from error
+    try:
+        yield
+    finally:
+        with suppress(psycopg.Error):  # the link was cut, and the lock with it
+            connection.execute("SELECT pg_advisory_unlock(%s)", (key,))
 
 
 @dataclass(frozen=True, slots=True)
