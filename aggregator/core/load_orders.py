@@ -114,13 +114,13 @@ def _told(event: LoadEvent, book: LoadBook) -> str:
     if event.kind is Said.UNDO:
         open_load = book.open_load(event.run)
         now_open = "no load" if open_load is None else open_load.told
-        return f"the {_undone_kind(event, book)} of {load.told} is undone: {now_open} is open"
+        return f"the {undone_kind(event, book)} of {load.told} is undone: {now_open} is open"
     words = {Said.START: "has begun", Said.RESUME: "goes on", Said.END: "has ended", Said.NOTE: "is noted"}
     end = f" {event.where}" if event.place_x_m == -math.inf else ""  # other places are told as numbers
     return f"{load.told} {words[event.kind]}{end}"
 
 
-def _undone_kind(undo: LoadEvent, book: LoadBook) -> Said | str:
+def undone_kind(undo: LoadEvent, book: LoadBook) -> Said | str:
     """What was taken back: 'start', 'resume' or 'end'."""
     undone = undo.payload.get("event")
     return next((event.kind for event in book.events.values() if event.n == undone), "last change")

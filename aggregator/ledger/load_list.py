@@ -8,8 +8,9 @@ from typing import Any
 from aggregator.calibration.leave_one_out import contradicting_all
 from aggregator.calibration.load_tickets import load_ticket
 from aggregator.core.foreign_totals import jacket_g
+from aggregator.core.load_orders import undone_kind
 from aggregator.core.load_told import load_now
-from aggregator.core.loads import Load, LoadTicket
+from aggregator.core.loads import Load, LoadBook, LoadEvent, LoadTicket, Said
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.line_tickets import tickets_beside
 from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
@@ -77,7 +78,7 @@ def _told(
         "gross_g": None if gross is None else gross.ticket_g,
         "jacket_g": jacket_g(_grams(gross), _grams(net), now.foreign),
         "refused": refused,
-        "said": _said(load),
+        "said": _said(ledger.loads, load),
         "notes": [{"by": note.said_by, "text": note.text} for note in load.notes if note.text],
     }
 
@@ -86,17 +87,24 @@ def _grams(ticket: LoadTicket | None) -> float | None:
     return None if ticket is None else ticket.ticket_g
 
 
-def _said(load: Load) -> list[dict[str, Any]]:
-    """All that was said of a load after its start, oldest first: who, when, what."""
-    told = [(load.began_ns, 0, load.began_by, "began")]
-    for note in load.notes:
-        fields = ", ".join(f"{name} is {text}" for name, text in note.fields.items())
-        told.append((note.said_ns, note.n, note.said_by, "; ".join(filter(None, (note.text, fields)))))
-    for ticket in load.tickets:
-        kind = "net" if ticket.net else "gross"
-        grams = ticket.ticket_g
-        text = f"{kind} ticket withdrawn" if grams is None else f"{kind} ticket {grams / 1000:.1f} kg"
-        told.append((ticket.said_ns, ticket.n, ticket.said_by, text))
-    return [
-        {"unix_s": ns / 1e9, "by": by, "text": text} for ns, _, by, text in sorted(told, key=lambda t: (t[1], t[0]))
-    ]
+def _said(book: LoadBook, load: Load) -> list[dict[str, Any]]:
+    """All that was said of a load, oldest first: who, when, what; that its end or another change was undone, too."""
+    told = []
+    for event in book.events.values():
+        texts = _texts(book, event) if event.load == load.number else []
+        told += [{"unix_s": event.said_ns / 1e9, "by": event.said_by, "text": text} for text in texts]
+    return told
+
+
+def _texts(book: LoadBook, event: LoadEvent) -> list[str]:
+    """What an event said, in words: what it did, and what was noted with it."""
+    if event.kind is Said.TICKET:
+        kind, grams = "net" if event.payload["net"] else "gross", event.payload["ticket_g"]
+        did = f"{kind} ticket withdrawn" if grams is None else f"{kind} ticket {grams / 1000:.1f} kg"
+    elif event.kind is Said.UNDO:
+        did = f"the {undone_kind(event, book)} is undone"
+    else:
+        did = {Said.START: "began", Said.RESUME: "went on", Said.END: "ended"}.get(event.kind, "")
+    fields = {} if event.kind is Said.START else event.payload.get("fields", {})
+    noted = [event.payload.get("note", ""), ", ".join(f"{name} is {text}" for name, text in fields.items())]
+    return [text for text in (did, "; ".join(filter(None, noted))) if text]

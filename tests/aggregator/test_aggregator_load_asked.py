@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,6 +60,31 @@ def test_a_load_is_found_by_its_number_where_no_name_collides_and_however_old_it
                 told_loads(line, ledger_or_line, wanted="number:99", limit=20)
             assert len(told_loads(line, ledger_or_line, wanted="", limit=20)) == 20
         del queries
+
+
+def test_all_that_was_said_of_a_load_is_listed_with_who_said_it(tmp_path: Path) -> None:
+    """Ends, undos and that a load went on were in the ledger, and listed nowhere: who ended it was not to be seen."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Loads(ledger, story())
+        orders: list[tuple[str, dict[str, Any]]] = [
+            ("start", {"x_m": -0.1, "fields": {"name": "A"}, "note": "wet"}),
+            ("end", {"x_m": -0.2}),
+            ("undo", {}),
+            ("note", {"note": "stones", "fields": {"variety": "Agria"}}),
+            ("end", {"x_m": -0.3, "note": "full"}),
+            ("start", {"x_m": -0.4, "load": "A"}),
+            ("ticket", {"load": "A", "kg": 8123.5}),
+            ("ticket", {"load": "A"}),
+        ]
+        for n, (action, more) in enumerate(orders):
+            it.order(f"o{n}", action, now_ns=n * S, **more)
+    with reading(tmp_path / "ledger.db") as view:
+        (load,) = loads_of(view, limit=9)
+    assert {said["by"] for said in load["said"]} == {"me"}
+    assert [(said["unix_s"], said["text"]) for said in load["said"]] == [
+        *((0, "began"), (0, "wet"), (1, "ended"), (2, "the end is undone"), (3, "stones; variety is Agria")),
+        *((4, "ended"), (4, "full"), (5, "went on"), (6, "net ticket 8123.5 kg"), (7, "net ticket withdrawn")),
+    ]
 
 
 def test_a_load_that_is_ended_after_the_belt_ends_there_in_words(
