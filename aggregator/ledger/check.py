@@ -27,7 +27,7 @@ from aggregator.ledger.schema import (
 from aggregator.ledger.seal import seal_faults
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView, named_key, reading
-from conveyor.errors import LedgerError, UnmadeError
+from conveyor.errors import LedgerError, StorageError, UnmadeError
 
 _SHOWN = 5
 
@@ -37,6 +37,7 @@ def check_file(path: Path) -> list[str]:
 
     Raises:
         LedgerError: there is no such file, or no aggregator has made a ledger of it yet.
+        StorageError: it cannot be read now, for its disk is full say, which says nothing of the ledger.
     """
     if not path.is_file():
         raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
@@ -45,7 +46,7 @@ def check_file(path: Path) -> list[str]:
             return view_faults(view)
     except DAMAGE as error:
         return [f"it cannot be read at all: {error}"]
-    except UnmadeError:
+    except (UnmadeError, StorageError):
         raise
     except LedgerError as error:
         return [str(error)]
@@ -90,6 +91,8 @@ def _collected(part: Callable[[LedgerView], Iterable[str]], view: LedgerView) ->
     faults: list[str] = []
     try:
         faults.extend(part(view))
+    except StorageError:
+        raise
     except LedgerError as error:
         faults.append(str(error))
     except DAMAGE as error:

@@ -12,6 +12,7 @@ import math
 import shutil
 import sqlite3
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
@@ -43,7 +44,8 @@ from aggregator.ledger.seal import break_seal
 from aggregator.ledger.steps import first_step, span_step
 from aggregator.ledger.sums import DEFAULT_STEP_G, RunSums
 from aggregator.ledger.verified import named_key
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, StorageError
+from conveyor.files import cause
 
 
 def repair(path: Path) -> Repaired:
@@ -190,7 +192,10 @@ def _keep(path: Path) -> Path:
             if source.exists():
                 shutil.copy2(source, kept.with_name(kept.name + suffix))
     except OSError as error:
-        raise LedgerError(f"{path} cannot be copied to {kept}: {error.strerror or error}; free some space") from error
+        for suffix in ("", "-wal"):  # half a copy is none
+            with suppress(OSError):
+                kept.with_name(kept.name + suffix).unlink(missing_ok=True)
+        raise StorageError(f"{path} cannot be copied to {kept}: {cause(error)}") from error
     return kept
 
 

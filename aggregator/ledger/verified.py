@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.ledger.faults import DAMAGE, explained
-from aggregator.ledger.receipt import read_receipt, receipt_path
+from aggregator.ledger.receipt import is_being_written, read_receipt, receipt_path
 from aggregator.ledger.schema import (
     APPLICATION_ID,
     BATCH,
@@ -185,6 +185,14 @@ def _receipt_now(path: Path) -> Callable[[], int | None]:
     return lambda: acknowledged
 
 
+def _has_log(path: Path) -> bool:
+    """Whether there is a write-ahead log to be read with the ledger. A writer that found no room on the disk leaves an
+    empty one, and with that SQLite could read no more than the writer could write.
+    """
+    log = path.with_name(path.name + "-wal")
+    return log.exists() and (log.stat().st_size > 0 or is_being_written(path))
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[LedgerView]:
     """The ledger at `path`, read-only, also while it is being written: all reads see one and the same moment.
@@ -194,7 +202,7 @@ def reading(path: Path) -> Iterator[LedgerView]:
     """
     if not path.is_file():
         raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
-    immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
+    immutable = "" if _has_log(path) else "&immutable=1"
     with explained(path, "reading"):
         if _is_being_made(path):
             raise unmade(path)

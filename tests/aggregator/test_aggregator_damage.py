@@ -7,20 +7,25 @@ import shutil
 import sqlite3
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.audit import audit_run
 from aggregator.ledger.check import check_file
 from aggregator.ledger.reader import reading, the_run
 from aggregator.ledger.receipt import read_receipt, receipt_path
 from aggregator.ledger.repair import repair
 from aggregator.ledger.schema import SCHEMA_VERSION, checksum
+from aggregator.ledger.totals_by import all_loads
 from aggregator.ledger.writer import Ledger
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, StorageError
+from conveyor.messages import LoadOrder
 from tests.aggregator.belt_story import tell
+from tests.aggregator.loaded_story import told_with_loads
 from tests.aggregator.virtual_line import Aggregator
 
 FLIPS = 60
@@ -245,6 +250,30 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         pytest.skip(f"a small tmpfs cannot be mounted here ({done.stderr.decode().strip()}): full disk NOT TESTED")
     yield folder
     subprocess.run(["umount", folder], check=True)
+
+
+def test_a_ledger_on_a_full_disk_is_read_and_not_called_damaged(small_disk: Path, tmp_path: Path) -> None:
+    """A ticket found no room, and left an empty log: from then on nothing could be read, and `ledger check` said that
+    the ledger cannot be trusted and is to be repaired, which left an empty copy of it.
+    """
+    made, fill = tmp_path / "made", small_disk / "fill"
+    with Ledger(made / "ledger.db") as ledger:
+        told_with_loads(ledger)
+    path = copied(made, small_disk / "run")
+    with fill.open("wb", buffering=0) as file, suppress(OSError):
+        while file.write(bytes(1024)):
+            pass
+    with pytest.raises(StorageError, match="No space left"):
+        order_at_rest(path, LoadOrder("t", "ticket", by="me", load="A", kg=1.0))
+    assert check_file(path) == []
+    assert [load.net_g for load in all_loads([path]).loads] == [None, None, None]
+    with pytest.raises(StorageError, match=r"cannot be copied to .*No space left"):
+        repair(path)
+    assert not list(path.parent.glob("*.damaged*"))
+    fill.unlink()
+    assert order_at_rest(path, LoadOrder("t", "ticket", by="me", load="A", kg=1.0)).done
+    assert [load.net_g for load in all_loads([path]).loads] == [1000.0, None, None]
+    assert check_file(path) == []
 
 
 def test_a_full_disk_is_an_error_and_the_run_goes_on_once_there_is_space(small_disk: Path) -> None:
