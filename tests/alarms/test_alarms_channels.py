@@ -132,6 +132,30 @@ def test_what_waits_arrives_in_order_once_the_network_is_back(tmp_path: Path) ->
     assert losses == [3] + [0] * (len(ids) - 1)
 
 
+def test_an_error_that_no_channel_knows_ends_no_channel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a machine that had no thread left for a moment the channel's own ended, and none of its alarms left again."""
+    plain, tries = threading.Timer.start, list[int]()
+
+    def no_thread(timer: threading.Timer) -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            raise RuntimeError("can't start new thread")
+        plain(timer)
+
+    monkeypatch.setattr(threading.Timer, "start", no_thread)
+    with receiving() as server:
+        (hook,) = channels(tmp_path, f"http://127.0.0.1:{server.port}/alarms")
+        with Outbox(tmp_path, channels=[hook.id], keep=10) as box:
+            box.put([message(1)], AlarmMachine("north", Timing(), "box"), now_s=0, unix_s=1.8e9)
+            sender = Sender(hook, box, first_wait_s=0.05)
+            sender.start()
+            wait_until(lambda: not box.waiting(hook.id), what="an empty outbox")
+            sender.stop()
+            sender.join(5)
+        assert [taken["id"] for taken in server.taken] == ["box-1-begin"]
+    assert len(tries) == 2
+
+
 @pytest.fixture
 def broker(tmp_path: Path, free_port: int) -> Iterator[int]:
     """A real mosquitto with a password; its port."""

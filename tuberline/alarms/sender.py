@@ -64,6 +64,10 @@ class Sender:
             waiting = self._outbox.waiting(self._channel.id)
             log.warning("%s cannot be reached: %s; %d messages wait", self._channel.shown, error, waiting)
             return False
+        except Exception as error:  # it must not end this thread, and with it all alarms of this channel
+            name = type(error).__name__  # its text may hold the address with its secrets
+            log.error("%s: sending failed by %s, a fault of the program; it is tried again", self._channel.shown, name)
+            return False
         self._outbox.done(self._channel.id, n, lost=lost)
         log.info("%s took %s: %s", self._channel.shown, message.event, message.title)
         return True
