@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aggregator.calibration.load import ticket_of
+from aggregator.calibration.tickets import write_tickets
 from aggregator.core.coverage import Moment, at_rest, coverage
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.load_totals import ReadLoads, Seen
+from aggregator.ledger.loads import last_loads
 from aggregator.ledger.reader import coverage_of, moment_of, read_runs, read_sums, reading, run_being_written
 from aggregator.ledger.receipt import is_being_written
 from aggregator.ledger.writer import Ledger
 from conveyor import topics
-from conveyor.config import LineConfig, dump_toml
+from conveyor.config import AggregatorConfig, LineConfig, dump_toml
 from conveyor.delivery.kept import KeptPublisher
 from conveyor.messages import CameraInfo
 from conveyor.node import Node
@@ -28,6 +31,7 @@ from tests.aggregator.test_aggregator_load_orders import loader
 from tests.aggregator.test_aggregator_node import Process, Segmenters, camera_info, line, process
 from tests.aggregator.virtual_line import Aggregator, fresh_run
 from tests.conftest import wait_until
+from tuberline.api.runs import read_totals
 
 __all__ = ["line", "process"]
 
@@ -156,10 +160,43 @@ def test_a_stopped_line_has_one_coverage(line: tuple[LineConfig, Path], process:
         read = coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view)))
         assert read_sums(view, run.run).stopped
         whole = ReadLoads(view).whole(run)
+        (told_run,) = last_loads(view, limit=3)
+    stopped = {name: summary["totals"][name] for name in ("count", "weight_g", "low_g", "high_g", "coverage")}
+    assert 0 < stopped["low_g"] < stopped["weight_g"] < stopped["high_g"]
+    for name, value in stopped.items():
+        assert told_run[name] == pytest.approx(value, abs=1e-6), name
     assert read.share == pytest.approx(summary["coverage"], abs=1e-6)
     assert read.belt_m == pytest.approx(summary["belt_m"], abs=1e-6)
     assert read.mean_unseen_m() == pytest.approx(summary["unseen_m"], abs=1e-5)
     assert whole.coverage == read.share
+
+
+def test_runs_that_were_stopped_are_told_with_their_interval(tmp_path: Path) -> None:
+    """The page's earlier runs and `status` had their weight before any ticket, and neither interval nor coverage."""
+    path, story = tmp_path / "ledger.db", tell(5, cameras=1, n=20, length_m=2.0)
+    with Ledger(path) as ledger:
+        it = Aggregator(ledger, story.in_run(fresh_run("now")))
+        it.commit_one_by_one()
+        now = it.core.run
+        ledger.stopped(now, it.core.cameras.sights)
+        ledger.open_run("empty", line="t", cameras=("cam0",), version="1", started_ns=START_NS)
+        ledger.stopped("empty", {})
+    grams = read_totals(path)[-1].sums.as_weighed_g
+    for calibrated in (False, True):
+        if calibrated:
+            ticket = ticket_of(path, run=now, ticket_g=1.1 * grams, ticket_sd_g=5.0)
+            write_tickets(tmp_path / "tickets.json", [ticket])
+            named = AggregatorConfig(tickets=tmp_path / "tickets.json")
+            (tmp_path / "line.toml").write_text(dump_toml(LineConfig(name="t", aggregator=named)))
+        with reading(path) as view:
+            empty, told = last_loads(view, limit=5)
+        assert (told["run"], told["end"], told["final"]) == (now, "stopped", False)
+        sums = next(total.sums for total in read_totals(path) if total.label == now)
+        figures = (sums.tubers, sums.weight_g, *sums.seen_g, sums.coverage)
+        assert tuple(told[name] for name in ("count", "weight_g", "low_g", "high_g", "coverage")) == figures
+        assert told["low_g"] < told["weight_g"] < told["high_g"]
+        assert (told["weight_g"] > 1.01 * grams) == calibrated
+        assert (empty["run"], empty["count"], empty["weight_g"], empty["low_g"]) == ("empty", 0, None, None)
 
 
 @pytest.fixture

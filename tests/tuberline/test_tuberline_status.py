@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,10 +53,13 @@ def test_without_its_aggregator_a_line_tells_what_its_ledger_holds(
             at_work = Aggregator(opened, story())
             at_work.commit_one_by_one()
             count = len(at_work.tubers())
-        assert f"its ledger tells of run story: {count} tubers, " in told()
+        assert re.search(rf"its ledger tells of run story: {count} tubers, \d\.\d\d kg \(90 %: \d\.\d\d to ", told())
         status(address=address, json=True, wait_s=0.5)
         found = json.loads(capsys.readouterr().out)
         assert (found["totals"], found["last_known"]["run"], found["last_known"]["count"]) == (None, "story", count)
+        with Ledger(ledger) as opened:
+            opened.open_run("empty", line="t", cameras=("left",), version="1", started_ns=0)
+        assert "its ledger tells of run empty: nothing was seen" in told()
         ledger.write_bytes(b"no ledger" * 1000)
         assert "is not known here" in told()
 

@@ -30,4 +30,11 @@ def told_without_aggregator(known: dict[str, Any] | None) -> str:
     if known is None:
         return f"{told}\nwhat was counted before is not known here: give --config on the machine that has the ledger"
     tubers = f"{known['count']} tuber{'' if known['count'] == 1 else 's'}"
-    return f"{told}\nits ledger tells of run {known['run']}: [bold]{tubers}[/], {known['weight_g'] / 1000:.2f} kg"
+    grams = known["weight_g"]
+    came_to = "nothing was seen" if grams is None else f"[bold]{tubers}[/], {_weight(grams, known)}"
+    return f"{told}\nits ledger tells of run {known['run']}: {came_to}"
+
+
+def _weight(grams: float, known: dict[str, Any]) -> str:
+    low_g, high_g = known["low_g"], known["high_g"]
+    return f"{grams / 1000:.2f} kg (90 %: {low_g / 1000:.2f} to {high_g / 1000:.2f} kg)"
