@@ -28,7 +28,8 @@ from conveyor.messages import Tuber
 class Score:
     """How far a run was from the truth. Errors are counted minus true; None where nothing was matched or passed.
 
-    Weights are as weighed, before any ticket. Beside them stands what tickets make of the estimate, by what
+    Weights are as weighed, before any ticket; where nothing was seen (`saw`) they are zero, which says nothing of the
+    load, and None in `as_dict`. Beside them stands what tickets make of the estimate, by what
     `calibrated_by` says; None and '' where none calibrate.
     """
 
@@ -65,19 +66,24 @@ class Score:
     calibrated_by: str = ""
 
     @property
+    def saw(self) -> bool:
+        """Some belt was looked at, or a tuber counted; without either there is no weight."""
+        return self.count > 0 or bool(self.coverage)
+
+    @property
     def count_error_percent(self) -> float | None:
         """(counted - true) / true."""
         return _error_percent(self.count, self.true_count)
 
     @property
     def weight_error_percent(self) -> float | None:
-        """(weight as seen - true) / true."""
-        return _error_percent(self.weight_g, self.true_weight_g)
+        """(weight as seen - true) / true; None where nothing was seen."""
+        return _error_percent(self.weight_g, self.true_weight_g) if self.saw else None
 
     @property
     def estimated_error_percent(self) -> float | None:
-        """(weight as estimated for the whole belt - true) / true."""
-        return _error_percent(self.estimated_weight_g, self.true_weight_g)
+        """(weight as estimated for the whole belt - true) / true; None where nothing was seen."""
+        return _error_percent(self.estimated_weight_g, self.true_weight_g) if self.saw else None
 
     @property
     def calibrated_error_percent(self) -> float | None:
@@ -87,10 +93,14 @@ class Score:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """For machines."""
+        """For machines; weights are None where nothing was seen."""
         values = {name: getattr(self, name) for name in Score.__dataclass_fields__}
+        values |= {} if self.saw else dict.fromkeys(_WEIGHTS)
         percents = ("count", "weight", "estimated", "calibrated")
         return {**values, **{f"{name}_error_percent": getattr(self, f"{name}_error_percent") for name in percents}}
+
+
+_WEIGHTS = ("weight_g", "low_g", "high_g", "estimated_weight_g", "estimated_low_g", "estimated_high_g")
 
 
 def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | None = None) -> Score:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import tempfile
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.totals_by import totals_by
@@ -27,6 +29,7 @@ from conveyor.errors import InputError, LedgerError
 from conveyor.messages import LoadOrder, TrackEntry, Tuber
 from tests.aggregator.belt_story import scatter, tell
 from tests.aggregator.loaded_story import Loads
+from tuberline.cli.report import print_score
 from tuberline.cli.score import score as score_command
 
 TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))
@@ -261,3 +264,38 @@ def test_any_truth_is_read_or_refused_in_words(value: object) -> None:
             assert str(path) in str(error)  # noqa: PT017 - a value is fine too
         else:
             assert all(np.isfinite([t.place_x_m, t.place_y_m, t.weight_g]).all() for t in tubers)
+
+
+@pytest.mark.parametrize("looked", [True, False])
+def test_a_run_that_counted_nothing_has_no_weight(
+    looked: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It had 0.000 kg, 90 %: 0.000 to 0.000, as if an empty scale had been read."""
+    bare = tell(5, n=0, cameras=1, length_m=2.0)
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        if looked:
+            it = Loads(ledger, bare)
+            it.commit_one_by_one()
+        else:
+            ledger.open_run(bare.run, line="t", cameras=bare.names, version="1", started_ns=0)
+    tubers = [{"id": "1", "place_x_m": 0, "place_y_m": 0, "weight_g": 150, "square_mesh_mm": 60}]
+    (truth_file := tmp_path / "truth.json").write_text(json.dumps({"tubers": tubers}))
+    (contract := tmp_path / "contract.toml").write_text('[[classes]]\nname = "all"\n')
+    score_command(tmp_path, truth=truth_file, contract=contract)
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    unseen = "no camera saw a belt move; `tuberline audit` says what became of its frames"
+    seen = "its belt was seen" if looked else unseen
+    assert f"nothing was counted, so nothing was weighed ({seen}); true 0.150 kg" in said
+    assert f"belt seen {'100.0 %' if looked else 'unknown'}" in said
+    assert "0 counted, 1 true (-100.00 %)" in said
+    assert "0.000" not in said
+    assert "% of weight" not in said, "shares of nothing"
+    score_command(tmp_path, truth=truth_file, json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == set(score(counted([]), truth([])).as_dict())
+    assert (told["count"], told["coverage"], told["count_error_percent"]) == (0, 1.0 if looked else None, -100.0)
+    weights = ("weight_g", "low_g", "high_g", "estimated_weight_g", "estimated_low_g", "estimated_high_g")
+    assert [told[name] for name in weights] == [0.0 if looked else None] * 6
+    assert told["weight_error_percent"] == told["estimated_error_percent"] == (-100.0 if looked else None)
+    print_score(Console(file=(out := StringIO()), width=120), told)
+    assert "nothing weighed" in out.getvalue()

@@ -15,6 +15,29 @@ def score_table(score: Score) -> Table:
     rows = [
         ("tubers", f"{score.count} counted, {score.true_count} true ({_signed(score.count_error_percent)} %)"),
         ("of these", f"{score.missed} missed, {score.double_counted} counted twice, {score.false} false"),
+    ]
+    for name, text in [*rows, *(_weighed(score) if score.count else _nothing(score))]:
+        table.add_row(name, escape(text))
+    return table
+
+
+def _belt_seen(score: Score) -> str:
+    return "unknown" if score.coverage is None else f"{100 * score.coverage:.1f} %"
+
+
+def _nothing(score: Score) -> list[tuple[str, str]]:
+    """Of a run that counted no tuber: there is nothing to compare."""
+    why = "`tuberline audit` says what became of its frames"
+    unseen = f"no camera saw a belt move; {why}" if score.coverage is None else f"none of its belt was seen; {why}"
+    seen = "its belt was seen" if score.saw else unseen
+    return [
+        ("load", f"nothing was counted, so nothing was weighed ({seen}); true {score.true_weight_g / 1000:.3f} kg"),
+        ("belt seen", _belt_seen(score)),
+    ]
+
+
+def _weighed(score: Score) -> list[tuple[str, str]]:
+    rows = [
         (
             "load as seen, raw",
             f"{score.weight_g / 1000:.3f} kg, true {score.true_weight_g / 1000:.3f} kg "
@@ -26,7 +49,7 @@ def score_table(score: Score) -> Table:
             f"90 %: {score.estimated_low_g / 1000:.3f} to {score.estimated_high_g / 1000:.3f}",
         ),
         ("calibrated", _calibrated(score)),
-        ("belt seen", "unknown" if score.coverage is None else f"{100 * score.coverage:.1f} %"),
+        ("belt seen", _belt_seen(score)),
         ("per tuber", f"MAE {_number(score.mae_g)} g, RMSE {_number(score.rmse_g)} g, bias {_number(score.bias_g)} g"),
         ("truth inside the 90 % interval", f"{_number(score.interval_hit_percent)} % of tubers"),
         ("place", f"mean {_number(score.place_mean_mm)} mm, 95 % within {_number(score.place_p95_mm)} mm off"),
@@ -35,9 +58,7 @@ def score_table(score: Score) -> Table:
         rows.append(
             ("places aligned", f"travel was estimated: scale {score.scale:.4f}, offset {score.offset_mm:+.1f} mm")
         )
-    for name, text in rows:
-        table.add_row(name, escape(text))
-    return table
+    return rows
 
 
 def _calibrated(score: Score) -> str:

@@ -53,13 +53,15 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     seen = not_known if coverage is None else f"{100 * coverage:.1f} %"
     unseen = "".join(f", {m:.2f} m {REASONS.get(why, why)}" for why, m in summary.get("unseen_m", {}).items())
     table = Table(show_header=False, box=None, padding=(0, 2))
-    table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
+    weight = f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})"
+    table.add_row("load as seen", weight if totals["count"] else "nothing was counted, so nothing was weighed")
     table.add_row("tubers", f"[bold]{totals['count']}[/]")
     table.add_row("belt seen", escape(seen) + (f"  (not seen{unseen[1:]})" if unseen else ""))
     layers = layers_in_words(totals.get("hidden", 0.0), totals.get("layered_m", 0.0), totals.get("belt_m"))
     if layers:
         table.add_row("layers", f"[yellow]{layers}[/]")
-    if layers or (totals["estimated_high_g"] > totals["high_g"] if coverage is None else coverage < 1):
+    missed = totals["estimated_high_g"] > totals["high_g"] if coverage is None else coverage < 1
+    if layers or (missed and (totals["count"] or totals["estimated_high_g"] > 0)):
         table.add_row(
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
         )
@@ -98,26 +100,23 @@ def _range(totals: dict[str, Any], prefix: str) -> str:
 def print_score(console: Console, score: dict[str, Any]) -> None:
     """How far a run was from the truth."""
     table = Table("against the truth", "truth", "counted", "off by")
-    table.add_row("tubers", str(score["true_count"]), str(score["count"]), f"{score['count_error_percent']:+.1f} %")
-    table.add_row(
-        "load",
-        f"{score['true_weight_g'] / 1000:.3f} kg",
-        f"{score['weight_g'] / 1000:.3f} kg",
-        f"{score['weight_error_percent']:+.1f} %",
-    )
+    table.add_row("tubers", str(score["true_count"]), str(score["count"]), _percent(score["count_error_percent"]))
+    true, weighed = f"{score['true_weight_g'] / 1000:.3f} kg", bool(score["count"])
+    seen = f"{score['weight_g'] / 1000:.3f} kg" if weighed else "nothing weighed"
+    table.add_row("load", true, seen, _percent(score["weight_error_percent"] if weighed else None))
     if score["estimated_weight_g"] != score["weight_g"]:
-        table.add_row(
-            "load as estimated",
-            f"{score['true_weight_g'] / 1000:.3f} kg",
-            f"{score['estimated_weight_g'] / 1000:.3f} kg",
-            f"{score['estimated_error_percent']:+.1f} %",
-        )
+        estimated = f"{score['estimated_weight_g'] / 1000:.3f} kg"
+        table.add_row("load as estimated", true, estimated, _percent(score["estimated_error_percent"]))
     console.print(table)
     console.print(
         f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; per tuber "
         f"MAE {_grams(score['mae_g'])}, RMSE {_grams(score['rmse_g'])}, bias {_grams(score['bias_g'], sign='+')}",
         highlight=False,
     )
+
+
+def _percent(error: float | None) -> str:
+    return "unknown" if error is None else f"{error:+.1f} %"
 
 
 def _grams(value: float | None, *, sign: str = "") -> str:

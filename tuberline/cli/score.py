@@ -19,6 +19,9 @@ def score(
 ) -> None:
     """Compare a run with the truth: count, per-tuber weights, total weight.
 
+    Of a run that counted nothing it says so, and how much of the belt was seen. In JSON weights are null where no belt
+    was seen.
+
     Parameters
     ----------
     run_dir
@@ -52,7 +55,7 @@ def score(
     from tuberline.cli.ledger_tables import score_table
 
     Console().print(score_table(result))
-    if classes:
+    if classes and result.count:
         from tuberline.cli.class_table import class_score_table
 
         Console().print(class_score_table(classes))
