@@ -24,6 +24,28 @@ SHOWN = {
     "ja": ("運転中", "積荷 3 · trailer 7", "90 % 信頼：199.0～214.0 kg", "積荷を開始…", "警報はありません。"),
 }
 
+OUNCES = {
+    "en": ("ounces a tuber", "Ounces", "3.5 to 5.3", "Most tubers, 3 420, weigh 3.5 to 5.3 ounces", "counted, oz"),
+    "de": ("Unzen (oz) je Knolle", "Unzen (oz)", "3,5 bis 5,3", "Die meisten Knollen, 3 420, wiegen 3,5 bis 5,3 Unzen",
+           "gezählt, oz"),
+    "nl": ("ounces (oz) per knol", "Ounces (oz)", "3,5 tot 5,3", "De meeste knollen, 3 420, wegen 3,5 tot 5,3 ounces",
+           "geteld, oz"),
+    "ja": ("1個のオンス数", "オンス", "3.5～5.3", "最も多い 3 420 個は 3.5～5.3 オンス", "計数済み（oz）"),
+}  # fmt: skip
+SVG = "document.querySelector('[data-put=histogram]')"
+FIGURES = """(() => {
+    const texts = [...document.querySelectorAll('[data-put=histogram] text')].map((text) => text.textContent);
+    const table = document.querySelector('[data-put=classes]');
+    const bars = [...document.querySelectorAll('[data-put=histogram] rect')];
+    return {texts, said: document.querySelector('[data-put=histogram]').getAttribute('aria-label'),
+        head: table.tHead.textContent, row: table.tBodies[0].rows[2].cells[0].textContent,
+        mean: document.querySelector('[data-put=mean]').textContent,
+        lefts: bars.map((bar) => Number(bar.getAttribute('x'))),
+        marks: [...document.querySelectorAll('[data-put=histogram] text[text-anchor=middle]')].map(
+            (text) => Number(text.getAttribute('x')))};
+})()"""
+"""What the histogram says in words and figures, and where its bars and the figures under them stand."""
+
 
 def values_of(text: str) -> set[str]:
     return set(re.findall(r"\{\w+(?::[^}]+)?\}", text))
@@ -90,4 +112,38 @@ def test_the_page_speaks_four_languages_and_three_units_and_remembers(browser: B
         until(lambda: js(browser, "window.axes"), what="the figures of two axes")
         few = [["0,000", "0,005", "0,010"], ["0,0", "2,5", "5,0"]]
         assert js(browser, "window.axes") == few, "all figures of a chart of buckets in tons were 0,0"
+        js(browser, "localStorage.clear(); 1")
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize("language", OUNCES)
+def test_single_tubers_are_told_in_ounces_where_loads_are_told_in_pounds(browser: Browser, language: str) -> None:
+    """The histogram stayed in grams, beside a mean tuber in ounces; so did the weights on the cameras' pictures."""
+    axis, unit, row, said_of_most, legend = OUNCES[language]
+    board = Board(["north"])
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        board.put(seen := snapshot(loaded_state()))
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/?lang={language}")
+        until_told(browser, board, seen, "3 · trailer 7")
+
+        def laid_out() -> object:
+            board.put(seen)
+            return js(browser, f"{SVG}.viewBox.baseVal.width === {SVG}.clientWidth")
+
+        until(laid_out, what="a histogram as wide as its place")
+        grams = js(browser, FIGURES)
+        assert grams["mean"] == "172 g"
+        assert {"0", "100"} <= set(grams["texts"])
+        picked = "Object.assign(document.getElementById('unit'), {value: 'lb'})"
+        js(browser, f"{picked}.dispatchEvent(new Event('change')); 1")
+        until_told(browser, board, seen, legend)
+        found = js(browser, FIGURES)
+        assert (found["head"].startswith(unit), found["row"]) == (True, row)
+        assert (found["said"].replace("\u202f", " "), axis in found["texts"]) == (said_of_most, True)
+        assert found["mean"].endswith(" oz")
+        assert [text for text in found["texts"] if text in ("0", "4", "8", "12")] == ["0", "4", "8", "12"]
+        assert found["lefts"] == grams["lefts"], "the classes stay those that the line counts in"
+        per_gram = (found["lefts"][1] - found["lefts"][0]) / 50.0
+        zero, four, *_ = found["marks"]
+        assert four - zero == pytest.approx(4 * 28.349523125 * per_gram, abs=0.1)
         js(browser, "localStorage.clear(); 1")

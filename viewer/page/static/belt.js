@@ -1,5 +1,5 @@
 // The belt as the cameras see it: pictures of those on the screen, and of no others, with outlines and weights.
-import { number, t, known } from "./words.js";
+import { known, ofTuber, t } from "./words.js";
 
 const STALE_MS = 2500;
 const REST_MS = 60;
@@ -113,6 +113,11 @@ function draw({ canvas, picture, image }) {
   canvas.setAttribute("aria-label", said(picture));
 }
 
+// In another unit: a camera that is away sends no picture that would say it.
+export function drawAgain() {
+  for (const view of shown.values()) if (view.image) draw(view);
+}
+
 function line(pen, [state, , corners], scale, dots) {
   const look = LOOKS[state] ?? LOOKS.seen;
   pen.beginPath();
@@ -128,10 +133,10 @@ function line(pen, [state, , corners], scale, dots) {
   pen.setLineDash([]);
 }
 
-// Grams on what is counted, with "~" before they are final; a cross on what was refused.
+// Its weight on what is counted, with "~" before they are final; a cross on what was refused.
 function label(pen, [state, weight_g, corners], scale, dots) {
   const look = LOOKS[state] ?? LOOKS.seen;
-  const words = look.sign || (weight_g === null || state === "left_out" ? "" : `${state === "counted" ? "" : "~"}${number(weight_g)}`);
+  const words = look.sign || (weight_g === null || state === "left_out" ? "" : `${state === "counted" ? "" : "~"}${ofTuber(weight_g)}`);
   if (!words) return;
   let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
   for (let n = 0; n < corners.length; n += 2) {

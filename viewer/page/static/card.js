@@ -5,7 +5,7 @@ import { histogram } from "./histogram.js";
 import { Loads } from "./loads.js";
 import { FieldMap } from "./map.js";
 import { fill } from "./table.js";
-import { ago, chosen, load, loadUnit, number, percent, rate, small, t, translate, weight, when } from "./words.js";
+import { ago, chosen, load, loadUnit, number, ofTuber, percent, rate, tuberUnit, t, translate, weight, when } from "./words.js";
 
 const STALE_S = 3.5;
 const STATES = { running: "good", complete: "good", warned: "warning", waiting: "wait", starting: "wait", stopped: "wait", trouble: "trouble", "no contact": "trouble" };
@@ -103,7 +103,7 @@ export class LineCard {
     this.put("calibrated", t(calibrated ? "calibrated.yes" : "calibrated.no"));
     this.put("count", number(count));
     this.put("coverage", percent(coverage));
-    this.put("mean", count ? small(seen_g[1] / count) : "–");
+    this.put("mean", count ? `${ofTuber(seen_g[1] / count)} ${tuberUnit().unit}` : "–");
     histogram(this.places.histogram, this.places.classes, found);
   }
 

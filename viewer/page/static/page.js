@@ -1,4 +1,5 @@
 // Takes the snapshots as they come and says at every moment how old they are. It asks for nothing else.
+import { drawAgain } from "./belt.js";
 import { LineCard } from "./card.js";
 import { openMenu } from "./menu.js";
 import { ago, t } from "./words.js";
@@ -65,6 +66,7 @@ function say(lost) {
 
 openMenu(() => {
   for (const card of cards.values()) card.again();
+  drawAgain();
   tick();
 });
 listen();

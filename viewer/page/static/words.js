@@ -93,10 +93,11 @@ export function scaled(grams) {
   return `${number(grams / GRAMS[unit], unit === "t" ? 4 : 1)} ${unit}`;
 }
 
-// One tuber, whose weight no one says in kilograms.
-export function small(grams) {
-  return unit === "lb" ? `${number(grams / 28.349523125, 1)} oz` : `${number(grams)} g`;
-}
+// One tuber, whose weight no one says in kilograms: grams, and ounces where loads are told in pounds.
+export const tuberUnit = () => (unit === "lb" ? { unit: "oz", per: GRAMS.lb / 16, digits: 1 } : { unit: "g", per: 1, digits: 0 });
+
+// "172", or "6.1" of ounces
+export const ofTuber = (grams) => number(grams / tuberUnit().per, tuberUnit().digits);
 
 // What comes in a minute, or in an hour for who counts in tons.
 export function rate(kgPerMin) {
@@ -120,7 +121,7 @@ function zone(minutes) {
 
 // Texts that stand in the page itself.
 export function translate(place) {
-  for (const each of place.querySelectorAll("[data-word]")) each.textContent = t(each.dataset.word);
+  for (const each of place.querySelectorAll("[data-word]")) each.textContent = t(each.dataset.word, { unit: tuberUnit().unit });
   for (const each of place.querySelectorAll("[data-label]")) each.setAttribute("aria-label", t(each.dataset.label));
   for (const each of place.querySelectorAll("[data-example]")) each.placeholder = t(each.dataset.example);
 }
