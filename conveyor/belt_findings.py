@@ -108,7 +108,7 @@ def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
 
 _SCALED = (
     ", which is its gauge: tubers are weighed at the size that agrees with it. Calibrate the camera's depth when the "
-    "line stands next; if it is the encoder that is off, weights are wrong by three times as much"
+    "line next stops; if it is the encoder that is off, weights are wrong by three times as much"
 )
 _DEPTH_OR_ENCODER = (
     ". Either its depth has drifted, and weights are off by two to three times as much, or the encoder's metres a "
@@ -136,4 +136,4 @@ def _gauge_finding(camera: str, cause: str, gauges: Mapping[str, float]) -> str:
             f"camera '{camera}': {told}: more than is corrected, so weights are off. Fasten or calibrate the camera, "
             "then measure the belt (`tuberline calibrate belt RECORDING`)"
         )
-    return f"camera '{camera}': {told}; corrected. Calibrate the camera when the line stands next"
+    return f"camera '{camera}': {told}; corrected. Calibrate the camera when the line next stops"

@@ -35,8 +35,11 @@ def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, 
         ({"outline_grown_px": 3.24}, "Camera left draws tubers 3.2 px larger all round than they are."),
         ({"farther_than_travel": 0.024}, "Camera left puts tubers 2.4 % farther away than the belt's travel says"),
         ({"farther_than_travel": -0.024}, "Camera left puts tubers 2.4 % nearer than the belt's travel says"),
-        ({"farther_than_travel": -0.024, "scaled_by_travel": -0.022}, "left are 2.4 % off the belt's travel; they are"),
-        ({"travel_not_told": 1.0}, "Camera left is to be checked by the belt's travel, and no encoder tells that."),
+        (
+            {"farther_than_travel": -0.024, "scaled_by_travel": -0.022},
+            "left measures distances 2.4 % off what the belt's travel says. Weights are corrected",
+        ),
+        ({"travel_not_told": 1.0}, "Camera left is to be checked against the belt's travel, but no encoder tells it."),
     ],
 )
 def test_what_tubers_say_of_their_camera_is_a_warning(gauges: dict[str, float], said: str) -> None:
