@@ -289,3 +289,10 @@ def test_spans(seconds: float, said: str) -> None:
 
 def test_a_figure_is_stale_after_a_few_missed_reports_not_after_one() -> None:
     assert 2.0 < STALE_S < 5.0
+
+
+def test_a_camera_of_which_no_frame_was_processed_yet_is_starting() -> None:
+    """It was called working, beside 'no frame processed yet'."""
+    first = segmenter("left", gauges={"frames_published": 0.0, "frames_processed": 0.0}, per_s={})
+    cameras = snapshot(with_node(good_state(), "segmenter/left", first))["cameras"]
+    assert [(camera["state"], camera["per_s"]) for camera in cameras] == [("starting", None), ("ok", 29.9)]

@@ -206,8 +206,14 @@ def test_between_loads_the_one_that_ended_is_told_and_the_run_is_called_so(brows
         weighed_load = replace(state.totals.load, calibrated_by="1 bucket: offset +0.4 mm +- 0.2")
         scale = replace(state, totals=replace(state.totals, load=weighed_load))
         until_told(browser, board, snapshot(scale), "Calibrated with a scale.")
-        until_told(browser, board, snapshot(good_state(totals=none)), "0.00 kg No tubers yet")
+        none_counted = {"count": 0, "weight_g": 0.0, "low_g": 0.0, "high_g": 0.0}
+        first, *others = ended
+        bare = good_state(totals=none, told=(replace(first, **none_counted), *others))
+        runs = tuple(replace(run, **none_counted) for run in bare.loads)
+        until_told(browser, board, snapshot(replace(bare, loads=runs)), "0.00 kg No tubers yet")
         assert "90 % sure: 0.00" not in text(browser)
+        js(browser, "document.querySelector('.runs').open = true")
+        assert "0.00 to 0.00" not in text(browser), "an interval of nothing, in the lists of loads and of runs"
 
 
 def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -> None:

@@ -120,10 +120,11 @@ def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
     info = state.cameras.get(name)
     last_word = info.state if info is not None and info.state in ("ended", "failed") else ""
     states = ["gone" if node.left else node.state for node in (source, segmenter) if node is not None]
-    well = "trouble" if troubled else "ok" if states else "waiting"
+    counts = _sheet(segmenter)
+    begun = "ok" if counts.get("frames_processed") else "starting"  # its processes are there before its first frame
+    well = "trouble" if troubled else begun if states else "waiting"
     now = next((state for state in states if state != "ok"), well)
     over = (state.final or state.stopped) and now != "ok"  # a camera that is stopped does not say that it ends
-    counts = _sheet(segmenter)
     return {
         "name": name,
         "state": last_word or ("ended" if over else now),

@@ -35,7 +35,7 @@ function draw(card, line, camera) {
   if (!over) beltPicture(card.querySelector("canvas"), line, camera.name);
   if (!over) put(card.querySelector(".note"), pictureNote(`${line}/${camera.name}`));
   const values = { n: camera.tubers, rate: number(camera.per_s, 1) };
-  put(card.querySelector(".now"), t(camera.state === "ok" ? "camera.now_rate" : "camera.now", values));
+  put(card.querySelector(".now"), t(camera.state === "ok" && camera.per_s !== null ? "camera.now_rate" : "camera.now", values));
 }
 
 export function cameraRows(cameras) {

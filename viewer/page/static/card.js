@@ -5,7 +5,7 @@ import { histogram } from "./histogram.js";
 import { Loads } from "./loads.js";
 import { FieldMap } from "./map.js";
 import { fill } from "./table.js";
-import { ago, chosen, load, loadUnit, number, ofTuber, percent, rate, tuberUnit, t, translate, weight, when } from "./words.js";
+import { ago, chosen, empty, load, loadUnit, number, ofTuber, percent, rate, tuberUnit, t, translate, weight, when } from "./words.js";
 
 const STALE_S = 3.5;
 const STATES = { running: "good", complete: "good", warned: "warning", waiting: "wait", starting: "wait", stopped: "wait", trouble: "trouble", "no contact": "trouble" };
@@ -113,7 +113,7 @@ export class LineCard {
     if (!output.firstChild) output.append(document.createElement("b"), document.createElement("span"));
     this.put(name, load(middle, scale), output.firstChild);
     this.put(name, ` ${scale.unit}`, output.lastChild);
-    this.put(`${name}-range`, !count && !middle ? t("histogram.none") : t("load.sure", { low: load(low, scale), high: load(high, scale), unit: scale.unit }));
+    this.put(`${name}-range`, empty({ count, weight_g: middle }) ? t("histogram.none") : t("load.sure", { low: load(low, scale), high: load(high, scale), unit: scale.unit }));
   }
 
   flow(found, history) {
@@ -157,7 +157,7 @@ export class LineCard {
     const scale = loadUnit(past.weight_g);
     return [
       when(past.started_unix_s), past.weight_g === null ? t("nothing_seen") : weight(past.weight_g),
-      past.low_g === null ? "–" : t("range", { low: load(past.low_g, scale), high: load(past.high_g, scale) }),
+      past.low_g === null || empty(past) ? "–" : t("range", { low: load(past.low_g, scale), high: load(past.high_g, scale) }),
       number(past.count), percent(past.coverage), past.run, t(`run.${past.final ? "complete" : RUN_ENDS[past.end] ?? "open"}`),
     ];
   }

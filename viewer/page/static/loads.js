@@ -2,7 +2,7 @@
 import { ask } from "./act.js";
 import { LoadsChart } from "./charts.js";
 import { fill } from "./table.js";
-import { load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
+import { empty, load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
 
 const UNDO_WITHIN_S = 60;
 const SAID_MS = 60000;
@@ -39,8 +39,8 @@ export class Loads {
   }
 
   // What the load that ended last weighs.
-  last({ number: n, weight_g, low_g, high_g }) {
-    if (weight_g === null) return "";
+  last({ number: n, count, weight_g, low_g, high_g }) {
+    if (weight_g === null || empty({ count, weight_g })) return "";
     const scale = loadUnit(weight_g);
     return t("load.last", { n, weight: load(weight_g, scale), low: load(low_g, scale), high: load(high_g, scale), unit: scale.unit });
   }
@@ -76,7 +76,7 @@ export class Loads {
     const against = [...each.refused, ...(each.doubts ?? [])].join("; ");
     return [
       [each.number, each.name && `· ${each.name}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
-      each.low_g === null ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),
+      each.low_g === null || empty(each) ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),
       number(each.count), percent(each.coverage),
       (scales && against ? `${scales}: ${against}` : scales) || "–", each.field || "–", each.variety || "–",
       (each.notes ?? []).map(({ text, by }) => (by ? `${text} (${by.replace(/^page: /, "")})` : text)).join("; ") || "–",

@@ -82,6 +82,9 @@ export function load(grams, scale) {
   return grams === null || grams === undefined ? "–" : number(grams / scale.per, scale.digits);
 }
 
+// Nothing was counted of it: zero is no weight that an interval belongs to.
+export const empty = ({ count, weight_g }) => !count && !weight_g;
+
 // "206.4 kg"
 export function weight(grams) {
   const scale = loadUnit(grams);
