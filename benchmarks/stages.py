@@ -103,7 +103,7 @@ def _frames(frames: list[Frame], settings: Any, rounds: int) -> None:
     )
     print("| step | ms, mean | ms, mean of the slowest 5 % |\n| --- | ---: | ---: |")
     rest = best[:, 0] - best[:, 1:].sum(axis=1)
-    for name, took in [*zip(STEPS.values(), best[:, 1:].T, strict=True), ("belt, noise and the rest", rest)]:
+    for name, took in [*zip(STEPS.values(), best[:, 1:].T, strict=True), ("belt, noise, outlines and the rest", rest)]:
         print(f"| {name} | {took.mean():.2f} | {took[slowest].mean():.2f} |")
     print()
 
