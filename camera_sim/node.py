@@ -18,6 +18,7 @@ from conveyor.config_camera import CameraConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber
 from conveyor.errors import TuberlineError
 from conveyor.formats import PolledSource, Refused, Source
+from conveyor.formats.inspection import described_doubtfully
 from conveyor.formats.source import within_ranges
 from conveyor.messages import CameraInfo, Frame, FrameProgress
 from conveyor.node import Node
@@ -77,7 +78,7 @@ class CameraNode:
                     self._stamper = FrameStamper(node, self._config.encoder)
             if isinstance(self._source, PolledSource):
                 self._source.attach(self._while_silent)
-            for note in self._source.description.notes:
+            for note in described_doubtfully(self._source.description):
                 node.log.warning("%s: %s", self._source.description.origin, note)
             self._tell("starting")
             try:

@@ -78,8 +78,7 @@ def replay_recording(
         TuberlineError: a node gave up; the text carries its last words.
     """
     from conveyor.formats import open_source
-    from conveyor.formats.detect import unnamed_cameras
-    from conveyor.formats.inspection import described_doubtfully
+    from conveyor.formats.inspection import told_at_once
 
     if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
@@ -108,11 +107,7 @@ def replay_recording(
     take_positions(recording, out)
     run = run_id(recording)
     _keep(config, out=out, run=run)
-    notes = unnamed_cameras(recording)
-    notes += [
-        f"camera '{name}': {note}" for name, d in zip(cameras, told, strict=True) for note in described_doubtfully(d)
-    ]
-    notes += hung_together(told, config.cameras)
+    notes = [*told_at_once(recording, masks=not ignore_masks), *hung_together(told, config.cameras)]
     return _count(config, out=out, run=run, show=show, forks=forks, notes=notes)
 
 

@@ -23,9 +23,9 @@ BELT_QUANTILE = 0.75
 """Of a frame's depths: the belt is the farthest thing, and most frames show more of it than of tubers."""
 BELT_DIFFERS_M = 0.015
 TOLD_TWICE_M = 0.005
-MOST_ASIDE, MOST_OBLONG = 0.2, 1.25
-"""Of an image's side, from its middle, and one focal length by the other: a depth camera's own differ by a few
-percent."""
+MOST_ASIDE, MOST_OBLONG = 0.2, 1.05
+"""Of an image's side, from its middle, and one focal length by the other: a depth camera's own differ by a percent or
+two, those of an image that was squeezed from 16:10 into 16:9 by eleven."""
 RATE_DIFFERS = 100.0
 """Times the rate given. What a camera leaves out, or a recorder, is less; a wrong unit is a thousand."""
 NEAREST_M, FARTHEST_M = 0.15, 2.5
@@ -134,6 +134,25 @@ def _inspect(source: RecordedSource) -> CameraReport:
             *_rate_warnings(d.fps, steps_s),
         ),
     )
+
+
+def told_at_once(path: Path, *, masks: bool = True, part: int | None = None) -> list[str]:
+    """For people: what is suspicious about the recording at `path` before any frame is looked at, each camera's with
+    its name. Every command that reads a recording tells it.
+
+    Args:
+        masks: whether the recording's own masks are asked for.
+        part: which run of an MCAP file that holds several.
+
+    Raises:
+        InputError: no recording, or one that cannot be opened at all.
+    """
+    kind = recording_kind(path)
+    cameras = [open_unchecked(path, kind, name, part=part, masks=masks).description for name in camera_names(path)]
+    return [
+        *unnamed_cameras(path),
+        *(f"camera '{d.name}': {doubt}" for d in cameras for doubt in described_doubtfully(d)),
+    ]
 
 
 def described_doubtfully(d: CameraDescription) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import within
-from tuberline.cli.recordings import tell_unnamed
+from tuberline.cli.recordings import tell_doubts
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,7 +39,7 @@ def calibrate_belt(recording: Path, /, *, frames: Annotated[int, within(1, 100_0
     from segmenter.calibration_verdict import verdict
     from tuberline.cli.progress import frames_bar
 
-    tell_unnamed(recording)
+    tell_doubts(recording, masks=False)
     with frames_bar() as on_frame:
         results = calibrate_recording(recording, frames=frames, on_frame=on_frame)
     verdicts = [verdict(result) for result in results]

@@ -12,7 +12,7 @@ from conveyor.camera_place import CameraPlace
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from tuberline.cli.numbers import within
-from tuberline.cli.recordings import tell_unnamed
+from tuberline.cli.recordings import tell_doubts
 from tuberline.setup.line_file import toml_key
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def calibrate_cameras(
     from segmenter.calibrate_cameras import place_cameras, see_load
     from tuberline.cli.progress import work_bar
 
-    tell_unnamed(recording)
+    tell_doubts(recording, masks=False)
     cameras = open_cameras(recording, ignore_masks=True, follow=True)
     told = cameras[0].description.belt_from_camera
     said = CameraPlace() if told is None else CameraPlace.of(cameras[0].recorded_pose(told))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import within
+from tuberline.cli.recordings import tell_doubts
 
 if TYPE_CHECKING:
     from segmenter.profile.recording import ProfiledCamera
@@ -57,6 +58,7 @@ def profile(
     if out is not None:
         check_picture(out, option="--out")
     sidecar = read_weights(weights or SHIPPED)[1]
+    tell_doubts(recording, masks=False)
     trained = camera_range(sidecar.worlds)
     baseline_m = None if baseline_mm is None else baseline_mm / 1000
     with frames_bar() as on_frame:

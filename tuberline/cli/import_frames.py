@@ -94,7 +94,10 @@ def import_frames(
 
 
 def _tell(found: PlainFrames, frames: int, target: Path, *, json: bool) -> None:
+    from conveyor.formats.inspection import described_doubtfully
+
     d = found.description
+    notes = described_doubtfully(d)
     report = {
         "out": str(target),
         "frames": frames,
@@ -102,7 +105,7 @@ def _tell(found: PlainFrames, frames: int, target: Path, *, json: bool) -> None:
         "width": d.intrinsics.width,
         "height": d.intrinsics.height,
         "depth_scale_m": d.depth_scale_m,
-        "notes": list(d.notes),
+        "notes": list(notes),
     }
     if json:
         sys.stdout.write(json_module.dumps(report) + "\n")
@@ -111,6 +114,6 @@ def _tell(found: PlainFrames, frames: int, target: Path, *, json: bool) -> None:
     unit = f"in units of {d.depth_scale_m * 1000:g} mm"
     frames_of = "1 frame" if frames == 1 else f"{frames} frames"
     sys.stdout.write(f"{frames_of} of {d.intrinsics.width}x{d.intrinsics.height} {unit}{gaps} in {target}\n")
-    for note in d.notes:
+    for note in notes:
         sys.stderr.write(f"warning: {note}\n")
     sys.stdout.write(f"look at it: tuberline info {target}\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,11 +14,14 @@ from tuberline.cli.numbers import BeltDistance, within
 TargetFormat = Literal["auto", "folder", "mcap", "ros2", "foxglove"]
 
 
-def tell_unnamed(recording: Path) -> None:
-    """A line on stderr where camera folders of a recording are left out."""
-    from conveyor.formats.detect import unnamed_cameras
+def tell_doubts(recording: Path, *, masks: bool = True, part: int | None = None) -> None:
+    """A line on stderr for all that is suspicious about a recording before any frame is looked at: camera folders that
+    are left out, intrinsics and poses that contradict themselves. `masks`: whether its own are asked for; `part`: which
+    run of several.
+    """
+    from conveyor.formats.inspection import told_at_once
 
-    for text in unnamed_cameras(recording):
+    for text in told_at_once(recording, masks=masks, part=part):
         sys.stderr.write(f"warning: {text}\n")
 
 
@@ -123,7 +127,8 @@ def convert(
         raise InputError("--recording and --run are for --format foxglove, which shows what a run counted")
     if format == "foxglove" and part is not None:
         raise InputError("--part is not for --format foxglove: take the run out with `tuberline convert` first")
-    tell_unnamed(source)
+    with suppress(InputError) if format == "foxglove" else nullcontext():  # of a run, and of what is nothing, it tells
+        tell_doubts(recording or source, part=part)
     with whole_output(target) as partial, frames_bar() as on_frame:
         stated: dict[str, Any] = {"belt_distance_m": belt_distance_m, "depth_scale_m": depth_scale_m}
         if format == "foxglove":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import within
-from tuberline.cli.recordings import tell_unnamed
+from tuberline.cli.recordings import tell_doubts
 from tuberline.recorded import not_counted_told
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def segment(
         check_picture(picture, option="--picture")
     elif frame is not None:
         raise InputError(f"--frame {frame} is the one to draw: name the picture with --picture FILE.png")
-    tell_unnamed(recording)
+    tell_doubts(recording, masks=masks)
     with frames_bar() as on_frame:
         results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:
@@ -147,7 +147,7 @@ def evaluate_segmentation(
     cv2.setNumThreads(1)
     warm_up(Settings().split.pixel_mm)
     settings = Settings(perception=PerceptionSettings(method=method or PerceptionSettings().method, weights=weights))
-    tell_unnamed(recording)
+    tell_doubts(recording)
     with frames_bar() as on_frame:
         score = asdict(evaluate_recording(recording, settings=settings, every=every, on_frame=on_frame))
     if merged := score["masks_merged"]:

@@ -1,0 +1,72 @@
+"""What is suspicious about a recording before a frame is looked at is told by every command that reads one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from conveyor.formats.inspection import inspect_recording, told_at_once
+from tests.formats.consumers import frames, write_folder
+from tests.segmenter.segmenter_scene import SMALL
+from tuberline.cli.calibrate_belt import calibrate_belt
+from tuberline.cli.calibrate_cameras import calibrate_cameras
+from tuberline.cli.camera_profile import profile
+from tuberline.cli.import_frames import import_frames
+from tuberline.cli.recordings import convert
+from tuberline.cli.segmentation import evaluate_segmentation, segment
+
+SQUEEZED = replace(SMALL, fy=SMALL.fy * 0.9)
+DIFFER = f"fx {SQUEEZED.fx:g} and fy {SQUEEZED.fy:g} differ, but depth cameras have square pixels"
+COMMANDS: dict[str, Callable[[Path], None]] = {
+    "segment": segment,
+    "evaluate-segmentation": evaluate_segmentation,
+    "calibrate belt": calibrate_belt,
+    "calibrate cameras": lambda recording: calibrate_cameras(recording, seconds=5),
+    "camera profile": profile,
+    "convert": lambda recording: convert(recording, recording.parent / "converted"),
+}
+
+
+@pytest.fixture(scope="module")
+def squeezed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A camera whose rows say another focal length than its columns."""
+    made = [replace(frame, intrinsics=SQUEEZED) for frame in frames()]
+    return write_folder(tmp_path_factory.mktemp("squeezed") / "r", made=made, intrinsics=SQUEEZED)
+
+
+@pytest.mark.parametrize("command", list(COMMANDS))
+def test_focal_lengths_that_differ_are_told(command: str, squeezed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`info` and `replay` told it, from a quarter on; the others measured wrong sizes without a word."""
+    COMMANDS[command](squeezed)
+    told = [line for line in capsys.readouterr().err.splitlines() if DIFFER in line]
+    assert len(told) == 1
+    assert told[0].startswith("warning: camera 'front': ")
+
+
+def test_all_say_what_info_says(squeezed: Path) -> None:
+    """`replay` tells the same list; of a belt along the columns it named the focal lengths the wrong way round."""
+    (camera,) = inspect_recording(squeezed).cameras
+    assert [f"camera 'front': {text}" for text in camera.warnings] == told_at_once(squeezed)
+    path = squeezed / "front" / "camera.json"
+    described = path.read_text()
+    along_columns = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.46], [0, 0, 0, 1]]
+    path.write_text(json.dumps(json.loads(described) | {"belt_from_camera": along_columns}))
+    try:
+        assert any(DIFFER in text for text in told_at_once(squeezed))
+    finally:
+        path.write_text(described)
+
+
+def test_an_import_tells_it_of_the_intrinsics_that_it_is_given(
+    squeezed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    k = {"fx": SQUEEZED.fx, "fy": SQUEEZED.fy, "cx": SQUEEZED.cx, "cy": SQUEEZED.cy}
+    (tmp_path / "K.json").write_text(json.dumps(k))
+    import_frames(
+        squeezed / "front" / "depth", intrinsics=tmp_path / "K.json", depth_unit=0.001, fps=30.0, out=tmp_path / "out"
+    )
+    assert f"warning: {DIFFER}" in capsys.readouterr().err
