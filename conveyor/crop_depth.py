@@ -11,11 +11,16 @@ belongs to the tuber: its depth is interpolated from what surrounds it.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.kernels import kernel
+
+if TYPE_CHECKING:
+    from cv2.typing import MatLike
 
 WIDEST_PIXEL_M = 0.00132
 """On the belt: of 848 pixels across 88 degrees, 0.57 m above it."""
@@ -30,6 +35,9 @@ that noise empties at an outline 4 px at most stand on both sides, 0.1 of the lo
 
 PART = 0.1
 """Of the largest part of a view, from which on another is no speck beside it."""
+LEAST_REST_PX = 2
+"""Pixels beyond a gap that is too wide to be filled, from which on they are what is left of the tuber there; a single
+one may be a stray of a mask. No view of 360 of `easy`, `field` and `harsh` has a pixel there."""
 
 
 def pixel_width_m(belt_from_camera: NDArray[np.float64], fx: float) -> float:
@@ -87,6 +95,25 @@ def in_parts(inside: NDArray[np.bool_]) -> bool:
         return False
     pixels = np.array([cv2.contourArea(outline) + len(outline) / 2 + 1 for outline in outlines])  # by Pick's theorem
     return bool(np.count_nonzero(pixels >= PART * pixels.max()) > 1)
+
+
+def is_parted(depth: NDArray[np.uint16]) -> bool:
+    """Whether a gap of more than `MOST_MISSING` pixels parts what is seen in (h, w) `depth`, however little lies beyond
+    it: that little cannot say how much the gap took.
+    """
+    wide = MOST_MISSING // 2
+    seen = np.pad((depth > 0).astype(np.uint8), wide)
+    bridged = cv2.dilate(seen, np.ones((2 * wide + 1, 2 * wide + 1), np.uint8))
+    outlines, _ = cv2.findContours(bridged, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return len(outlines) > 1 and sum(_pixels(seen, outline) >= LEAST_REST_PX for outline in outlines) > 1
+
+
+def _pixels(seen: NDArray[np.uint8], outline: MatLike) -> int:
+    """How much of what is 1 in `seen` lies inside an outline."""
+    u, v, wide, high = cv2.boundingRect(outline)
+    inside = np.zeros((high, wide), np.uint8)
+    cv2.drawContours(inside, [outline], -1, 1, cv2.FILLED, offset=(-u, -v))
+    return int(np.count_nonzero(seen[v : v + high, u : u + wide] & inside))
 
 
 @kernel(nogil=True)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.camera_flags import OUTLINE_GROWN
-from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, pixel_width_m, step_units
+from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, is_parted, pixel_width_m, step_units
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
@@ -36,7 +36,7 @@ VOXEL_M = 0.0005
 MISSING = "rows_missing"
 """Flag of a view whose camera left out rows or columns; they were filled."""
 PARTS = "in_parts"
-"""Flag of a view whose outline falls into parts: each counts, and what lies between them does not."""
+"""Flag of a view that falls into parts, however small one is: each counts, and what lies between them does not."""
 NEAREST_M, FARTHEST_M = 0.001, 1000.0
 """No camera over a belt sees so near, none so far: the one is left out of a cloud, the other is no number of a place.
 """
@@ -137,8 +137,8 @@ def prepare_view(view: View) -> PreparedCloud:
     kept = look.clean(depth)
     cut = cut_back(depth, kept, view_heights_m(kept, view))
     if cut is None:
-        return _prepare_kept(kept, depth, missing, look)
-    cloud = _prepare_kept(look.clean(cut), cut, missing, look)
+        return _prepare_kept(kept, depth, missing, look, parted=is_parted(depth))
+    cloud = _prepare_kept(look.clean(cut), cut, missing, look, parted=is_parted(depth))
     return replace(cloud, flags=(*cloud.flags, OUTLINE_GROWN))
 
 
@@ -166,13 +166,20 @@ def prepare_depth(
     """
     look = _Look(depth_scale_m, fx, fy, cx, cy, belt_from_camera, resting_offset_m)
     depth, missing = look.filled(depth)
-    return _prepare_kept(look.clean(depth), depth, missing, look)
+    return _prepare_kept(look.clean(depth), depth, missing, look, parted=is_parted(depth))
 
 
 def _prepare_kept(
-    kept: NDArray[np.uint16], depth: NDArray[np.uint16], missing: NDArray[np.bool_] | None, look: _Look
+    kept: NDArray[np.uint16],
+    depth: NDArray[np.uint16],
+    missing: NDArray[np.bool_] | None,
+    look: _Look,
+    *,
+    parted: bool,
 ) -> PreparedCloud:
-    """As `prepare_depth`. `kept`: the pixels of `depth` that are clean; `missing`: those of rows that were filled."""
+    """As `prepare_depth`. `kept`: the pixels of `depth` that are clean; `missing`: those of rows that were filled;
+    `parted`: a gap that is not filled parts it, also where cleaning took what lies beyond.
+    """
     measured = kept if missing is None else np.where(missing, 0, kept)
     seen = int(np.count_nonzero(measured))
     if seen < MIN_POINTS:
@@ -191,7 +198,7 @@ def _prepare_kept(
     area = _areas(in_camera, level, look.fx * look.fy)
     surface = surface_features(level, area, inside, distance_m=distance_m + look.resting_offset_m, holes=holes)
     cloud = _finish(level, points, distance_m, look.resting_offset_m, surface, seen=seen)
-    seen_so = {MISSING: missing is not None, PARTS: in_parts(inside)}
+    seen_so = {MISSING: missing is not None, PARTS: parted or in_parts(inside)}
     flags = (*cloud.flags, *(flag for flag, so in seen_so.items() if so))
     return replace(cloud, noise_px=noise_px, flags=flags)
 
