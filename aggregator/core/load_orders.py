@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said
+from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said, ticket_told
 from conveyor.errors import InputError
 from conveyor.messages.loads import NUMBER, LoadAnswer, LoadOrder, number_meant
 
@@ -110,7 +110,7 @@ def _told(event: LoadEvent, book: LoadBook) -> str:
         kind = "net" if ticket["net"] else "gross"
         if ticket["ticket_g"] is None:
             return f"the {kind} ticket of {load.told} is withdrawn"
-        return f"{load.told}: {ticket['ticket_g'] / 1000:.1f} kg {kind} on the scale"
+        return f"{load.told}: {ticket_told(ticket['ticket_g'])} {kind} on the scale"
     if event.kind is Said.UNDO:
         open_load = book.open_load(event.run)
         now_open = "no load" if open_load is None else open_load.told

@@ -88,6 +88,12 @@ class Note:
     fields: Mapping[str, str]
 
 
+def ticket_told(grams: float) -> str:
+    """What a scale said, to the gram: '8123.0 kg', '1.31 kg'."""
+    whole, _, part = f"{grams / 1000:.3f}".partition(".")
+    return f"{whole}.{part[0]}{part[1:].rstrip('0')} kg"
+
+
 @dataclass(frozen=True, slots=True)
 class LoadTicket:
     """What a scale said of a load, grams; `ticket_g` None: the one before was withdrawn. `net`: tubers alone, else with

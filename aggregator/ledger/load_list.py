@@ -10,7 +10,7 @@ from aggregator.calibration.load_tickets import load_ticket
 from aggregator.core.foreign_totals import jacket_g
 from aggregator.core.load_orders import undone_kind
 from aggregator.core.load_told import load_now
-from aggregator.core.loads import Load, LoadBook, LoadEvent, LoadTicket, Said
+from aggregator.core.loads import Load, LoadBook, LoadEvent, LoadTicket, Said, ticket_told
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.line_tickets import tickets_beside
 from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
@@ -100,7 +100,7 @@ def _texts(book: LoadBook, event: LoadEvent) -> list[str]:
     """What an event said, in words: what it did, and what was noted with it."""
     if event.kind is Said.TICKET:
         kind, grams = "net" if event.payload["net"] else "gross", event.payload["ticket_g"]
-        did = f"{kind} ticket withdrawn" if grams is None else f"{kind} ticket {grams / 1000:.1f} kg"
+        did = f"{kind} ticket withdrawn" if grams is None else f"{kind} ticket {ticket_told(grams)}"
     elif event.kind is Said.UNDO:
         did = f"the {undone_kind(event, book)} is undone"
     else:

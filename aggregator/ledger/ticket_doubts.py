@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from aggregator.calibration.leave_one_out import LeftOut, contradicting, contradicting_all
 from aggregator.calibration.load_tickets import load_ticket
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.loads import Load, LoadEvent, Said
+from aggregator.core.loads import Load, LoadEvent, Said, ticket_told
 from aggregator.ledger.load_totals import Seen, Sums, count_load
 from conveyor.errors import InputError
 
@@ -25,8 +25,8 @@ def gross_below_net(load: Load) -> list[str]:
     if gross.ticket_g >= net.ticket_g:
         return []
     return [
-        f"the gross ticket of {load.told}, {gross.ticket_g / 1000:.1f} kg, is below its net one, "
-        f"{net.ticket_g / 1000:.1f} kg: one of the two is wrong, for gross is net and what soil and stones weigh"
+        f"the gross ticket of {load.told}, {ticket_told(gross.ticket_g)}, is below its net one, "
+        f"{ticket_told(net.ticket_g)}: one of the two is wrong, for gross is net and what soil and stones weigh"
     ]
 
 

@@ -299,6 +299,7 @@ def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Pat
     assert answer.done
     assert "5000.0 kg net on the scale; it is kept, but does not calibrate: the ticket says 5000.0 kg" in answer.text
     assert order_at_rest(path, LoadOrder("u", "ticket", load="A", kg=5000.0, net=False)).text.endswith("on the scale")
+    assert "A): 1.31 kg gross on" in order_at_rest(path, LoadOrder("v", "ticket", load="A", kg=1.31, net=False)).text
     totals, refused = totals_by([path], "load")
     assert totals[-1].sums.tickets == 0
     assert totals[-1].weighed == 1
