@@ -35,8 +35,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     if gauges.get("belt_turned"):
         found["belt_turned"] = (
             f"camera '{camera}': the load moves {gauges.get('belt_turned_deg', 0.0):+.1f} degrees aside of the way "
-            "that the camera's pose says: from 9 on tubers are counted several times. Turn the camera, or correct its "
-            "turned_deg in the line's file (`tuberline calibrate cameras RECORDING` measures it)"
+            "that the camera's pose says: from 9 degrees on tubers are counted several times. Turn the camera, or "
+            "correct its turned_deg in the line's file (`tuberline calibrate cameras RECORDING` measures it)"
         )
     if gauges.get("encoder_off"):
         told_m, seen_m = gauges.get("encoder_told_m", 0.0), gauges.get("encoder_seen_m", 0.0)

@@ -14,7 +14,7 @@ from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
 from conveyor.formats.positions import POSITIONS_FILE
 from conveyor.formats.scale_check import expected_distance_m, median_depth_m, scale_fault
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
-from conveyor.geometry import Intrinsics, belt_distance_m
+from conveyor.geometry import Intrinsics, belt_distance_m, height_coefficients
 from conveyor.messages import Frame
 from conveyor.stated import level_fault
 
@@ -43,7 +43,8 @@ class CameraReport:
         frames: named by the recording; gaps: numbers missing between the first and the last; refused: frames among the
             samples that cannot be read, by reason.
         fps_seen: from the median step of capture times; clock_faults: steps backwards or longer than 2 s.
-        belt_seen_m: median over samples of each frame's 75 % quantile of depth; belt_given_m: what the recording says.
+        belt_seen_m: median over samples of each frame's 75 % quantile of depth, or, where a pose is given, of how far
+            what is seen lies below the belt, beyond the distance given; belt_given_m: what the recording says.
         travel, masks, color: whether frames have them; None where none of the samples can be read.
     """
 
@@ -105,7 +106,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
         else:
             frames.append(item)
     steps_s = np.diff([key.captured_ns for key in keys]) / 1e9
-    seen = [float(np.quantile(f.depth[f.depth > 0], BELT_QUANTILE)) * f.depth_scale_m for f in frames if f.depth.any()]
+    seen = [_belt_seen_m(frame) for frame in frames if frame.depth.any()]
     belt_seen_m = float(np.median(seen)) if seen else None
     clock_faults = int(((steps_s <= 0) | (steps_s > 2.0)).sum())
     gaps = keys[-1].seq - keys[0].seq + 1 - len(keys)
@@ -134,6 +135,17 @@ def _inspect(source: RecordedSource) -> CameraReport:
             *_rate_warnings(d.fps, steps_s),
         ),
     )
+
+
+def _belt_seen_m(frame: Frame) -> float:
+    """How far away the belt seems to be: a camera that looks aslant sees half of it nearer than its middle."""
+    v, u = np.nonzero(frame.depth)
+    z = frame.depth[v, u] * frame.depth_scale_m
+    if frame.belt_from_camera is None:
+        return float(np.quantile(z, BELT_QUANTILE))
+    a, b, c, t = height_coefficients(frame.intrinsics, frame.belt_from_camera)
+    low_m = float(np.quantile(z * (a * u + b * v + c) + t, 1 - BELT_QUANTILE))
+    return belt_distance_m(frame.belt_from_camera) - low_m
 
 
 def told_at_once(path: Path, *, masks: bool = True, part: int | None = None) -> list[str]:
