@@ -76,6 +76,11 @@ class Together:
     parts_percent: Mapping[str, float]
     tickets: int
 
+    @property
+    def saw(self) -> bool:
+        """Some belt was looked at, or a tuber counted; without either there is no weight, which is not one of 0 kg."""
+        return self.tubers > 0 or bool(self.coverage)
+
 
 def together(loads: Sequence[OneLoad]) -> Together:
     """The sum of `loads` and its interval; of one load what it comes to by itself."""

@@ -40,7 +40,6 @@ def _came_to(ledger: ReadLoads, known: RunRow, summary: Mapping[str, Any], ticke
         totals = summary["totals"]
         return {name: totals[name] for name in ("count", "weight_g", "low_g", "high_g", "coverage", "final")}
     sums = together(run_loads(ledger, known, tickets))
-    saw = sums.tubers > 0 or bool(sums.coverage)
-    low_g, high_g = sums.seen_g if saw else (None, None)
-    grams = {"weight_g": sums.weight_g if saw else None, "low_g": low_g, "high_g": high_g}
+    low_g, high_g = sums.seen_g if sums.saw else (None, None)
+    grams = {"weight_g": sums.weight_g if sums.saw else None, "low_g": low_g, "high_g": high_g}
     return {"count": sums.tubers, **grams, "coverage": sums.coverage, "final": False}

@@ -135,10 +135,10 @@ def prepare_view(view: View) -> PreparedCloud:
     )
     depth, missing = look.filled(view.depth)
     kept = look.clean(depth)
-    cut = cut_back(depth, kept, view_heights_m(kept, view))
+    cut, parted = cut_back(depth, kept, view_heights_m(kept, view)), is_parted(depth)
     if cut is None:
-        return _prepare_kept(kept, depth, missing, look, parted=is_parted(depth))
-    cloud = _prepare_kept(look.clean(cut), cut, missing, look, parted=is_parted(depth))
+        return _prepare_kept(kept, depth, missing, look, parted=parted)
+    cloud = _prepare_kept(look.clean(cut), cut, missing, look, parted=parted)
     return replace(cloud, flags=(*cloud.flags, OUTLINE_GROWN))
 
 

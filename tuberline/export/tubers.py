@@ -108,8 +108,7 @@ def loads_table(runs: Sequence[Path]) -> Table:
 def _load(total: Total) -> tuple[Any, ...]:
     sums = total.sums
     grams = (sums.as_weighed_g, sums.estimated_g, sums.low_g, sums.high_g, total.raw_g)
-    seen = sums.tubers > 0 or bool(sums.coverage)
-    as_weighed, kg, low, high, raw = (g / 1000 if seen else None for g in grams)
+    as_weighed, kg, low, high, raw = (g / 1000 if sums.saw else None for g in grams)
     ticket_kg = total.net_g / 1000 if total.weighed else None
     return total.label, sums.tubers, as_weighed, kg, low, high, sums.coverage, ticket_kg, raw
 
