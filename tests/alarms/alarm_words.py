@@ -15,14 +15,14 @@ from tuberline.alarms.message import AlarmMessage
 
 def seen(key: str, **changes: str) -> Seen:
     """Something wrong."""
-    return Seen(**{"key": key, "level": "trouble", "text": f"{key} is wrong.", "fix": "Mend it.", **changes})
+    return Seen(**{"key": key, "level": "trouble", "text": f"{key} is wrong.", "fix": "Repair it.", **changes})
 
 
 def message(n: int, *, event: str = "begin") -> AlarmMessage:
     """Message `n` of an outbox 'box'."""
     ended = 1_800_000_100.0 if event == "end" else None
     name = f"box-{n}"
-    text, fix = f"Alarm {n}.", "Mend it."
+    text, fix = f"Alarm {n}.", "Repair it."
     return AlarmMessage(
         f"{name}-{event}", name, event, "north", "", f"k{n}", "trouble", text, fix, 1_800_000_000, ended
     )

@@ -48,7 +48,7 @@ def test_a_webhook_gets_a_json_post_with_the_message_id(tmp_path: Path) -> None:
         assert server.paths == ["/alarms/H%C3%B6fe%201?an=B%C3%BCro%20a"]
         (headers,) = server.asked
     assert taken["id"] == headers["Idempotency-Key"] == "box-1-begin"
-    assert (taken["event"], taken["lost_before"], taken["fix"]) == ("begin", 2, "Mend it.")
+    assert (taken["event"], taken["lost_before"], taken["fix"]) == ("begin", 2, "Repair it.")
     assert headers["Content-Type"] == "application/json"
     assert base64.b64decode(headers["Authorization"].removeprefix("Basic ")) == b"harvester:p@ss"
     assert "p@ss" not in hook.shown
@@ -233,7 +233,7 @@ def test_apprise_delivers_title_and_what_to_do(tmp_path: Path) -> None:
         service.send(message(1, event="end"), lost_before=2)
         begin, end = server.taken
         assert (begin["title"], begin["type"]) == ("north: Alarm 1.", "failure")
-        assert "Mend it." in begin["message"]
+        assert "Repair it." in begin["message"]
         assert end["type"] == "success"
         assert "2 older messages were given up" in end["message"]
         server.answer = 500

@@ -132,5 +132,5 @@ def test_a_message_survives_the_outbox_and_says_what_a_person_needs(tmp_path: Pa
     assert kept[1] == told[0]
     shown = kept[1].as_dict(lost_before=3)
     assert shown["title"] == "north, camera left: belt is wrong."
-    assert (shown["event"], shown["line"], shown["camera"], shown["fix"]) == ("begin", "north", "left", "Mend it.")
+    assert (shown["event"], shown["line"], shown["camera"], shown["fix"]) == ("begin", "north", "left", "Repair it.")
     assert (shown["since"], shown["ended"], shown["lost_before"]) == ("2027-01-15T08:00:00+00:00", None, 3)

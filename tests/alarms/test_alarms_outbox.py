@@ -109,7 +109,7 @@ def small(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_disk_that_is_full_at_the_start_keeps_no_message_back(known: bool, small: Path) -> None:
-    """`tuberline alarms` that began again on a full disk ended each time, and nobody was told of the disk."""
+    """`tuberline alarms` that began again on a full disk ended each time, and no one was told of the disk."""
     if known:
         with Outbox(small, channels=["a"], keep=10) as box:
             put(box, 1)

@@ -84,7 +84,7 @@ def test_a_device_takes_no_path(source: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("router", "mend"),
+    ("router", "fix"),
     [
         ("edge", "tcp/edge:7447"),
         ("10.0.0.1:7447", "tcp/10.0.0.1:7447"),
@@ -94,9 +94,9 @@ def test_a_device_takes_no_path(source: str) -> None:
         ("tcp/[::1]:x", "tcp/[::1]:7447"),
     ],
 )
-def test_a_router_that_is_no_endpoint_is_refused_at_once(tmp_path: Path, router: str, mend: str) -> None:
+def test_a_router_that_is_no_endpoint_is_refused_at_once(tmp_path: Path, router: str, fix: str) -> None:
     """`config check` said that it is fine, and `tuberline watch edge` ended in a traceback of Zenoh."""
-    told = f"'{router}' is no router's endpoint: write it like {mend}"
+    told = f"'{router}' is no router's endpoint: write it like {fix}"
     with pytest.raises(ConfigError) as caught:
         load_config(write(tmp_path, f'[link]\nrouter = "{router}"'))
     assert str(caught.value).splitlines()[1] == f"  link.router: {told}"

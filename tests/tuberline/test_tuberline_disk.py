@@ -1,4 +1,4 @@
-"""A disk that is full or read-only: one sentence that names the place, the cause and the mend; nothing half-written."""
+"""A disk that is full or read-only: one sentence that names the place, the cause and the fix; nothing half-written."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def test_totals_of_an_aggregator_that_left_are_the_last_ones() -> None:
     assert said in shown(TOTALS, "segmenter/left")
     assert said not in shown(TOTALS, "segmenter/left", "aggregator/aggregator")
     assert said not in shown(replace(TOTALS, final=True), "segmenter/left"), "it has done its work"
-    assert said not in shown(TOTALS), "nobody answers at all"
+    assert said not in shown(TOTALS), "no one answers at all"
     assert "waiting for the first tuber" in shown(None), "of a line that starts"
 
 
