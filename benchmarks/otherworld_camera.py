@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -10,6 +11,8 @@ import numba
 import numpy as np
 
 MASK_BELT = 0
+Bodies = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Meshes in belt coordinates: vertices (N, 3) in metres and triangles (M, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +119,10 @@ class Sensor:
     bow_px: float = 0.0  # slow error over the image, the same in all frames
     filled: bool = False  # holes are filled with the farthest depth around, as camera software offers
 
+    def view(self, camera: Camera, rng: np.random.Generator) -> View:
+        """Before a camera; `rng` draws what it does wrong."""
+        return View(camera, self, rng)
+
 
 @numba.njit(cache=True)
 def unseen(disparity):  # type: ignore[no-untyped-def]
@@ -142,7 +149,7 @@ class View:
         self._bow = cv2.resize(rng.normal(size=(4, 5)), shape[::-1], interpolation=cv2.INTER_CUBIC) * sensor.bow_px
         self._texture = self._smooth(rng.normal(size=shape), 3.0)
 
-    def exact(self, bodies: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    def exact(self, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
         """Depth m (H, W) and label uint16 of meshes in belt coordinates, numbered from 1."""
         depth_m, label = self._belt_m.copy(), np.zeros(self._belt_m.shape, np.uint16)
         cx, cy = self.camera.centre_px
@@ -152,8 +159,15 @@ class View:
                 draw(depth_m, label, seen, triangles, number, self.camera.focal_px, cx, cy)
         return depth_m, label
 
-    def measured(self, depth_m: np.ndarray, label: np.ndarray) -> np.ndarray:
-        """uint16 (H, W) in `unit_m`, 0 = no depth."""
+    def measured(
+        self, depth_m: np.ndarray, label: np.ndarray, bodies: Bodies = (), travel_m: float = 0.0
+    ) -> np.ndarray:
+        """uint16 (H, W) in `unit_m`, 0 = no depth.
+
+        Args:
+            depth_m, label: as `exact` gives them. bodies, travel_m: as it takes them, and how far the belt has come;
+                for sensors that look at them themselves.
+        """
         sensor, rng = self.sensor, self.rng
         if sensor.mix_px:
             depth_m = cv2.blur(depth_m, (sensor.mix_px, sensor.mix_px))

@@ -11,7 +11,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.otherworld_camera import Camera, Sensor, View
+from benchmarks.matched_camera import Matcher
+from benchmarks.otherworld_camera import Camera, Sensor
 from benchmarks.otherworld_shapes import Body, clod, stone, tuber
 
 DIRECTIONS = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 48, endpoint=False)), np.sin(t)], 1)
@@ -24,7 +25,7 @@ class Scene:
     name: str
     seed: int
     cameras: tuple[Camera, ...]
-    sensor: Sensor
+    sensor: Sensor | Matcher
     layout: str = "touching"  # singulated, touching, crowded
     families: tuple[str, ...] = ("smooth",)
     tubers: int = 50
@@ -167,7 +168,7 @@ def _write_camera(
     (folder / "depth").mkdir(parents=True)
     if scene.colour:
         (folder / "color").mkdir()
-    view = View(camera, scene.sensor, rng)
+    view = scene.sensor.view(camera, rng)
     ahead, behind = _view_m(camera)
     rows = []
     before: dict[int, float] = {}
@@ -180,9 +181,8 @@ def _write_camera(
             continue
         moved = [(one.body.vertices_m + np.array([one.x_m + now_m, one.y_m, 0]), one.body.triangles) for one in near]
         depth_m, label = view.exact(moved)
-        cv2.imwrite(
-            str(folder / f"depth/{seq:06d}.png"), view.measured(depth_m, label), [cv2.IMWRITE_PNG_COMPRESSION, 1]
-        )
+        measured = view.measured(depth_m, label, moved, now_m)
+        cv2.imwrite(str(folder / f"depth/{seq:06d}.png"), measured, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         if scene.colour:
             cv2.imwrite(str(folder / f"color/{seq:06d}.jpg"), _paint(depth_m, label, rng))
         travel = f"{now_m - first_m + scene.origin_m:.5f}" if scene.travel else ""
