@@ -29,7 +29,7 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig, *, weight_g: float
     if not tubers and not found.count:
         return None
     doubt, total = found.odds.doubt(), tubers + found.count
-    count = doubt.count + found.unasked
+    count = min(doubt.count + found.unasked, float(total))
     shared = math.hypot(HIDDEN_SD * doubt.hidden, OF_ALL_SD * total) if found.odds.bins else 0.0
     count_sd = math.hypot(math.sqrt(doubt.variance), shared)
     low, high = max(0.0, count - NORMAL_90 * count_sd), min(float(total), count + NORMAL_90 * count_sd)
@@ -46,9 +46,9 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig, *, weight_g: float
         count=count,
         count_low=low,
         count_high=high,
-        percent=100 * count / total,
-        percent_low=100 * low / total,
-        percent_high=100 * high / total,
+        percent=_percent(count, total - count),
+        percent_low=_percent(low, total - low),
+        percent_high=_percent(high, total - high),
         weight_g=foreign_g,
         low_g=low_g,
         high_g=high_g,
@@ -74,5 +74,6 @@ def _clod_or_stone_g_ml(densities: ForeignConfig) -> float:
     return stones * densities.stone_density + (1 - stones) * densities.clod_density
 
 
-def _percent(foreign_g: float, tubers_g: float) -> float:
-    return 100 * foreign_g / (foreign_g + tubers_g) if foreign_g + tubers_g > 0 else 0.0
+def _percent(foreign: float, tubers: float) -> float:
+    """0 to 100. The share first: 100 times a part over the whole rounds to more than 100 where the part is all."""
+    return 100 * (foreign / (foreign + tubers)) if foreign + tubers > 0 else 0.0

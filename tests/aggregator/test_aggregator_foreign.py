@@ -70,6 +70,21 @@ def test_sums_come_back_and_add_up() -> None:
     assert ForeignSums.from_plain({}).plain() == {}
 
 
+@pytest.mark.parametrize("log_odds", [-6.0, -0.4, None])
+def test_a_load_that_begins_with_clods_alone_is_told(log_odds: float | None) -> None:
+    """All of it is foreign, and no share of it more than all: one in twelve of these volumes came out at 100.00000000000001 %,
+    which no message takes, and the aggregator ended at every start.
+    """
+    for n in range(400):
+        sums = LoadSums(50.0)
+        sums.add(body(1, volume_ml=20.0 + 0.7 * n, log_odds=log_odds))
+        found = foreign_total(LoadTotals(sums), ForeignConfig())
+        assert found is not None
+        for percent in (found.percent, found.percent_high, found.weight_percent, found.weight_percent_high):
+            assert 0 <= percent <= 100, n
+        assert found.weight_percent in (0.0, 100.0), n
+
+
 def test_the_share_is_what_the_classifier_believes() -> None:
     """Ten clods among a hundred bodies; eight others were taken for tubers, and are told by how far below they lie."""
     sums = LoadSums(50.0)
