@@ -30,6 +30,8 @@ from regressor.weigh.files import FileOptions, prepare_file
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
+from tuberline.cli.evaluate import evaluate as evaluate_command
+from tuberline.cli.split import split as split_command
 from tuberline.cli.twin_told import tell_trained_resting, tell_twin
 
 
@@ -341,9 +343,36 @@ def test_what_no_part_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().err == ""
     tell_twin(tmp_path / "crop", tmp_path / "crop", tmp_path)
     assert capsys.readouterr().err == (
-        f"{tmp_path / 'crop'}: 1 labels of ground_truth.csv stand in no part of splits.csv ('t003'); 1 colour images "
-        "have no depth image beside them ('t000_rgb_360.png') and are no views\n"
+        f"{tmp_path / 'crop'}: left out: 1 label of ground_truth.csv in no part of splits.csv ('t003'); 1 label of "
+        "ground_truth.csv without depth images and clouds ('t000'): a label is written alike in tables and folders; "
+        "1 colour image without a depth image of the name ('t000_rgb_360.png')\n"
     )
+
+
+def test_labels_of_a_table_or_a_folder_alone_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`evaluate` judged the tubers that were left, and did not tell of one whose images were missing."""
+    folder = tmp_path / "crop"
+    labels = write_twin(folder, tubers=6)
+    write_parts(folder, {"train": labels[:4], "val": [labels[4], "typo"]})
+    images = folder / "1_rgbd" / "1_image"
+    shutil.rmtree(images / "t001")
+    (images / "t004").rename(images / "T004")
+    table = folder / "ground_truth.csv"
+    rows = table.read_text(encoding="utf-8").splitlines(keepends=True)
+    table.write_text("".join(row for row in rows if not row.startswith("t005")), encoding="utf-8")
+    evaluate_command(data=folder, out=tmp_path / "out", plots=False)
+    assert (
+        f"{folder}: left out: 2 labels of ground_truth.csv without depth images and clouds ('t001', 't004'); 1 label "
+        "of splits.csv without a row in ground_truth.csv ('typo'); 2 labels of images or clouds without a row in "
+        "ground_truth.csv ('T004', 't005'): a label is written alike in tables and folders\n"
+    ) in capsys.readouterr().err
+
+
+def test_a_split_tells_which_of_its_labels_have_no_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_twin(tmp_path, tubers=30)
+    shutil.rmtree(tmp_path / "1_rgbd" / "1_image" / "t007")
+    split_command(tmp_path)
+    assert "1 label of ground_truth.csv without depth images and clouds ('t007')" in capsys.readouterr().err
 
 
 def test_the_views_of_a_training_calibrate_no_interval(tmp_path: Path) -> None:

@@ -23,7 +23,11 @@ def split(folder: Path, /, *, seed: Seed = 20, force: bool = False) -> None:
     force
         Overwrite a splits.csv that is there.
     """
+    from conveyor.formats.potatotwin.layout import is_potatotwin
+    from conveyor.formats.potatotwin.views import left_out_told
     from regressor.training.split import write_splits
 
     counts = write_splits(folder, seed=seed, force=force)
     sys.stdout.write(f"{folder / 'splits.csv'}: {', '.join(f'{name} {count}' for name, count in counts.items())}\n")
+    if is_potatotwin(folder) and (told := left_out_told(folder)):
+        sys.stderr.write(f"{told}\n")

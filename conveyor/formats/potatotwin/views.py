@@ -112,21 +112,42 @@ def labels_without_views(folder: Path, *, split: str | None = None) -> list[str]
 def left_out_told(folder: Path) -> str:
     """For people: what no part of a folder has, and no training or study of a part reads; empty where that is nothing.
 
-    Labels of the table that stand in no part of splits.csv, and colour images whose depth image is missing.
+    Labels of the table that stand in no part of splits.csv, or have neither depth images nor clouds; labels of
+    splits.csv, of images or of clouds that the table lacks; and colour images whose depth image is missing.
 
     Raises:
         InputError: a table that cannot be read.
     """
-    parts = part_by_label(folder) if (folder / SPLITS).is_file() else None
-    unlisted = [label for label in read_truth(folder) if parts is not None and label not in parts]
+    truth = read_truth(folder)
+    parts = part_by_label(folder) if (folder / SPLITS).is_file() else dict.fromkeys(truth, "")
+    folders = {path.name for name in (IMAGES, CLOUDS) for path in (folder / RGBD / name).glob("*")}
+    viewed = {label for label in folders if depth_files(folder, label) or cloud_files(folder, label)}
+    unlisted = [label for label in truth if label not in parts]
+    unseen = [label for label in truth if label in parts and label not in viewed]
+    unweighed = [label for label in parts if label not in truth]
+    unnamed = sorted(viewed - truth.keys() - parts.keys()) if truth else []
     colour = sorted((folder / RGBD / IMAGES).glob("*/*_rgb_*.png"))
     alone = [path.name for path in colour if not path.with_name(path.name.replace("_rgb_", "_depth_")).is_file()]
     told = []
     if unlisted:
-        told.append(f"{len(unlisted)} labels of {TRUTH} stand in no part of {SPLITS} ({_some(unlisted)})")
+        told.append(f"{_labels(unlisted, TRUTH)} in no part of {SPLITS} ({_some(unlisted)})")
+    if unseen:
+        told.append(f"{_labels(unseen, TRUTH)} without depth images and clouds ({_some(unseen)})")
+    if unweighed:
+        told.append(f"{_labels(unweighed, SPLITS)} without a row in {TRUTH} ({_some(unweighed)})")
+    if unnamed:
+        told.append(f"{_labels(unnamed, 'images or clouds')} without a row in {TRUTH} ({_some(unnamed)})")
+    if unseen or unweighed or unnamed:
+        told[-1] += ": a label is written alike in tables and folders"
     if alone:
-        told.append(f"{len(alone)} colour images have no depth image beside them ({_some(alone)}) and are no views")
-    return f"{folder}: {'; '.join(told)}" if told else ""
+        told.append(
+            f"{len(alone)} colour image{'s' * (len(alone) > 1)} without a depth image of the name ({_some(alone)})"
+        )
+    return f"{folder}: left out: {'; '.join(told)}" if told else ""
+
+
+def _labels(names: list[str], where: str) -> str:
+    return f"{len(names)} label{'s' * (len(names) > 1)} of {where}"
 
 
 def _some(names: list[str]) -> str:
