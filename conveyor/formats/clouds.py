@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.extras import needed
+from conveyor.formats.cloud_shape import cloud_fault
 from conveyor.formats.numpy_files import numpy_fault
 from conveyor.formats.ply import MAX_POINTS, read_ply
 
 Points = NDArray[np.float64]
+TEXTS = (".txt", ".csv", ".tsv", ".asc", ".dat", ".pts", ".xyzn", ".xyzrgb")
+"""Endings of text that often holds points; not read, for it may hold anything else."""
 DECIMAL_COMMAS = re.compile(r"(?=.*,)\s*(?:[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?(?:\s+|$)){3}")
 """A line of three numbers, one with a comma at least, that blanks part."""
 
@@ -32,8 +36,7 @@ def read_cloud(path: Path) -> Points:
         raise InputError(f"cloud {path} {'is a folder' if path.is_dir() else 'does not exist'}")
     reader = CLOUDS.get(suffix)
     if reader is None:
-        known = ", ".join(CLOUDS)
-        raise InputError(f"cloud {path} has the ending '{suffix}'; known: {known}, or a depth/rgb pair of .png")
+        raise InputError(f"cloud {path} has the ending '{suffix}'; {ending_said([suffix])}")
     points = reader(path)
     if not np.isfinite(points).all():
         bad = int((~np.isfinite(points)).any(1).sum())
@@ -45,26 +48,41 @@ def read_cloud(path: Path) -> Points:
     return points
 
 
+def ending_said(endings: Iterable[str]) -> str:
+    """Which endings the names of clouds have, and what to do with files of such `endings`."""
+    known = f"clouds end in {', '.join(CLOUDS)}, or in .png, of a depth/rgb pair"
+    if any(ending.lower() in TEXTS for ending in endings):
+        return f"{known}. Lines of x, y, z in metres are read from a file whose name ends in .xyz: rename it"
+    return f"{known}. Save the points, (N, 3) in metres, as .ply or, with np.save, as .npy"
+
+
 def _read_numpy(path: Path) -> Points:
     try:
         loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.lib.npyio.NpzFile):  # by what it is, not by what it is called
+        if isinstance(loaded, NpzFile):  # by what it is, not by what it is called
             with loaded as file:
                 fitting = [key for key in file.files if file[key].ndim == 2 and file[key].shape[1] == 3]
                 if len(fitting) != 1 and "points" not in fitting:
-                    raise InputError(
-                        f"cloud {path} needs one array of shape (N, 3) or one named 'points'; it has "
-                        + (", ".join(f"{key} {file[key].shape}" for key in file.files) or "none")
-                    )
+                    raise InputError(f"cloud {path} {_no_one_cloud(file, fitting)}")
                 loaded = file["points" if "points" in fitting else fitting[0]]
     except InputError:
         raise
     except Exception as error:  # NumPy lets errors of zip, zlib, tokenizer and memory through for broken files
         fault = numpy_fault(path, error, otherwise="lines of x, y, z are read from a file whose name ends in .xyz")
         raise InputError(f"cloud {path} is not a NumPy file: {fault}") from error
-    if loaded.ndim != 2 or loaded.shape[1] != 3 or loaded.dtype.kind not in "fiu":
-        raise InputError(f"cloud {path} holds {loaded.dtype} {loaded.shape}; expected numbers of shape (N, 3)")
+    if fault := cloud_fault(loaded):
+        raise InputError(f"cloud {path} must hold x, y, z of each point, (N, 3); it holds {fault}, and save it again")
     return np.asarray(loaded, np.float64)
+
+
+def _no_one_cloud(file: NpzFile, fitting: list[str]) -> str:
+    """What is wrong with an archive of several arrays, of which none is called points, or of none of shape (N, 3)."""
+    there = ", ".join(f"{key} {file[key].shape}" for key in file.files) or "none"
+    needed_one = f"needs one array of shape (N, 3), or one of that shape named 'points'; it has {there}"
+    if fitting:
+        return f"{needed_one}: save the one that is meant as 'points'"
+    meant = "points" if "points" in file.files else file.files[0] if len(file.files) == 1 else None
+    return needed_one if meant is None else f"{needed_one}. '{meant}' is {cloud_fault(file[meant])}, and save it again"
 
 
 def _read_xyz(path: Path) -> Points:

@@ -9,7 +9,7 @@ from typing import Any
 
 from conveyor.camera_flags import CUT
 from conveyor.errors import InputError
-from conveyor.formats.clouds import CLOUDS, read_cloud
+from conveyor.formats.clouds import CLOUDS, ending_said, read_cloud
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrinsics
 from conveyor.formats.potatotwin.layout import pair_of
 from conveyor.formats.potatotwin.pairs import farthest_m, read_pair
@@ -95,7 +95,7 @@ def files_within(paths: Sequence[Path]) -> list[Path]:
             hint = (
                 "it is a recording: `tuberline replay` counts and weighs what is in it"
                 if recording
-                else (f"clouds end in {', '.join(CLOUDS)}; pairs of images are named <label>_depth_<row>.png")
+                else f"{ending_said(file.suffix for file in inside)}; pairs of images are named <label>_depth_<row>.png"
             )
             raise InputError(f"{path} holds no cloud and no pair of images; {hint}")
         found += files

@@ -17,6 +17,7 @@ from conveyor.camera_flags import OUTLINE_GROWN
 from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, is_parted, pixel_width_m, step_units
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
+from conveyor.formats.cloud_shape import cloud_fault
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.kernels import kernel
 from conveyor.messages import View
@@ -219,11 +220,12 @@ def prepare_cloud(
         RefusedCloud: empty, too few points, not finite, no cloud at all, or not above its resting level.
     """
     try:
-        points = np.asarray(points_in_camera).astype(np.float64, casting="same_kind")
-    except (TypeError, ValueError) as error:
-        raise RefusedCloud("not_a_cloud") from error
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise RefusedCloud("not_a_cloud")
+        given = np.asarray(points_in_camera)
+    except (TypeError, ValueError) as error:  # lists of different lengths
+        raise RefusedCloud("not_a_cloud", str(error)) from error
+    if fault := cloud_fault(given):
+        raise RefusedCloud("not_a_cloud", f"given is {fault}")
+    points = given.astype(np.float64)
     if not len(points):
         raise RefusedCloud("empty_cloud")
     if not (np.abs(points) < FARTHEST_M).all():

@@ -82,7 +82,9 @@ def test_broken_cloud_files_are_named(tmp_path: Path) -> None:
         "cut.npy": (b"\x93NUMPY\x01\x00", "not a NumPy file"),
         "text.npy": (b"1 2 3\n", r"it begins with b'1 2 3.*', not as np.save writes it; lines of .*ends in .xyz$"),
         "empty.npz": (b"", "not a NumPy file: it is empty"),
-        "what.txt": (b"1 2 3", "ending '.txt'"),
+        "what.txt": (b"1 2 3", "ending '.txt'.* read from a file whose name ends in .xyz: rename it"),
+        "what.CSV": (b"1,2,3", "ending '.csv'.* read from a file whose name ends in .xyz: rename it"),
+        "what.stl": (b"solid", "ending '.stl'.* as .ply or, with np.save, as .npy"),
     }
     for name, (data, words) in cases.items():
         (tmp_path / name).write_bytes(data)

@@ -297,9 +297,10 @@ def _check_image(depth: Any, mask: Any, intrinsics: Any, u0: int, v0: int) -> No
         InputError: with what was given and what is expected.
     """
     if not isinstance(depth, np.ndarray) or depth.ndim != 2 or depth.dtype != np.uint16:
-        raise InputError(f"depth is {_told(depth)}; expected uint16 of shape (h, w)")
+        raise InputError(f"depth is {_told(depth)}; expected uint16 of shape (h, w){_image_of(depth)}")
     if mask is not None and (not isinstance(mask, np.ndarray) or mask.dtype.kind not in "bui"):
-        raise InputError(f"mask is {_told(mask)}; expected bool of shape {depth.shape}")
+        made = "; take mask > 0" if isinstance(mask, np.ndarray) and mask.shape == depth.shape else ""
+        raise InputError(f"mask is {_told(mask)}; expected bool of shape {depth.shape}{made}")
     if mask is not None and mask.shape != depth.shape:
         raise InputError(f"mask is {mask.shape}, the depth image {depth.shape}: they must have the same shape")
     if not isinstance(intrinsics, Intrinsics):
@@ -337,6 +338,21 @@ def _loaded(weights: Weights | None) -> Weights:
 def _told(value: object) -> str:
     """What was given in place of something else, in a word or two."""
     return f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+
+
+def _image_of(depth: Any) -> str:
+    """How to make a depth image of what is none: for people; empty where it cannot be told."""
+    if not isinstance(depth, np.ndarray):
+        return ""
+    if depth.ndim == 3 and 1 in depth.shape[::2]:
+        return f"; take depth[{'0' if depth.shape[0] == 1 else '..., 0'}]"
+    if depth.ndim == 3 and depth.shape[2] == 3:
+        return "; points are for weigh: the tuber's own, (N, 3)"
+    if depth.ndim == 2 and depth.dtype.kind == "f":
+        return "; of depth in metres take np.round(depth_m / depth_scale_m).astype(np.uint16), 0 where there is none"
+    if depth.ndim == 2 and depth.dtype.kind in "iu" and depth.dtype.itemsize > 1:
+        return "; take depth.astype(np.uint16) where no depth is beyond 65535 units"
+    return ""
 
 
 def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None, resting_sd_mm: float = 0.0) -> Weight:
