@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+OFF_MM = 6.0
+"""Farther from where it is given the belt seen is an alarm."""
+LEANS_DEG = 1.0
+"""So many degrees between the belt seen and the belt given are one."""
+
 
 def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     """Findings about one camera's belt by the level that says so; empty where all is well.
@@ -17,12 +22,10 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     """
     found = {}
     if gauges.get("belt_alarm"):
-        drift_mm, tilt_deg = gauges.get("belt_drift_mm", 0.0), gauges.get("belt_tilt_off_deg", 0.0)
-        where = f"{abs(drift_mm):.1f} mm {'farther' if drift_mm > 0 else 'nearer'} than its calibration says"
+        fix = "belt_from_camera" if belt_leans(gauges) else "belt_distance_m or belt_from_camera"
         found["belt_alarm"] = (
-            f"camera '{camera}': the belt is seen {where} and leans {tilt_deg:.1f} degrees against it: counts and "
-            "weights are off. Measure the belt (`tuberline calibrate belt RECORDING`), then give its belt_distance_m "
-            "or belt_from_camera"
+            f"camera '{camera}': the belt {_where_seen(gauges)}: counts and weights are off. Measure the belt "
+            f"(`tuberline calibrate belt RECORDING`), then give its {fix}"
         )
     if gauges.get("belt_backwards"):
         found["belt_backwards"] = (
@@ -80,6 +83,25 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     if cause is not None:
         found["gauge_" + cause] = _gauge_finding(camera, cause, gauges)
     return found
+
+
+def belt_off(gauges: Mapping[str, float]) -> bool:
+    """The belt seen lies farther from where it is given than calibration and wear explain."""
+    return abs(gauges.get("belt_drift_mm", 0.0)) > OFF_MM
+
+
+def belt_leans(gauges: Mapping[str, float]) -> bool:
+    """The belt seen leans against the one given by more than calibration explains."""
+    return gauges.get("belt_tilt_off_deg", 0.0) > LEANS_DEG
+
+
+def _where_seen(gauges: Mapping[str, float]) -> str:
+    """What is wrong with a belt, and only that: how far off it lies, how much it leans, or both."""
+    drift_mm, leaning = gauges.get("belt_drift_mm", 0.0), f"{gauges.get('belt_tilt_off_deg', 0.0):.1f} degrees"
+    if belt_leans(gauges) and not belt_off(gauges):
+        return f"is seen to lean {leaning} against its calibration"
+    where = f"is seen {abs(drift_mm):.1f} mm {'farther' if drift_mm > 0 else 'nearer'} than its calibration says"
+    return f"{where}, and leans {leaning} against it" if belt_leans(gauges) else where
 
 
 def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:

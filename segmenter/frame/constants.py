@@ -8,6 +8,8 @@ numba's cache notices changes of that file only.
 
 from __future__ import annotations
 
+from conveyor.belt_findings import LEANS_DEG, OFF_MM
+
 # Frames that cannot be used (`gate`)
 LEAST_SEEN_OF_FRAME = 0.1
 """Share of the image with depth; a covered lens has next to none. Higher drops frames that could still be used."""
@@ -48,10 +50,10 @@ LOAD_M = 0.1
 REFUSE_M = 0.020
 """Metres; a given belt that is farther off, with nothing seen where it should be, is refused: a millimetre is worth
 about 2.2 % of a load."""
-DRIFT_M = 0.006
+DRIFT_M = OFF_MM / 1000
 """Metres; farther off than calibration and wear explain: an alarm, and no longer followed. In the suite, whose
 belts are known to 2 mm, the belt was seen at most 3.1 mm off."""
-TILT_OFF_DEG = 1.0
+TILT_OFF_DEG = LEANS_DEG
 """Degrees between the belt seen and the belt given that are an alarm; a calibrated belt stays below 0.3."""
 TILT_WORTH_DEG = 0.5
 """Degrees; a smaller tilt is taken for none. A tilt of 3 degrees taken for none costs a fifth of all tubers."""

@@ -45,18 +45,24 @@ def test_the_mend_can_be_pasted() -> None:
 
 
 def test_a_running_segmenter_is_believed() -> None:
-    config = parse_config({"cameras": {"left": {}, "right": {}, "new": {}}}, where="test")
+    config = parse_config({"cameras": {"left": {}, "right": {}, "new": {}, "leaning": {}}}, where="test")
     nodes = {
         f"segmenter/{name}": Counters("segmenter", name, "r", 1, "h", "1", 9.0, {}, gauges)
         for name, gauges in {
             "left": {"belt_drift_mm": -0.2, "belt_alarm": 0.0},
             "right": {"belt_drift_mm": 11.0, "belt_tilt_off_deg": 1.5, "belt_alarm": 1.0},
             "new": {},
+            "leaning": {"belt_drift_mm": 0.02, "belt_tilt_off_deg": 20.0, "belt_alarm": 1.0},
         }.items()
     }
-    found = check_running_belts(config, nodes, alive=set(nodes))
-    assert [(f.check, f.level) for f in found] == [("belt of left", Level.OK), ("belt of right", Level.FAULT)]
-    assert found[1].text == "segmenter/right sees it +11.0 mm off its calibration, leaning 1.5 deg"
+    found = {f.check: f for f in check_running_belts(config, nodes, alive=set(nodes))}
+    assert {name.removeprefix("belt of "): f.level for name, f in found.items()} == {
+        "leaning": Level.FAULT,
+        "left": Level.OK,
+        "right": Level.FAULT,
+    }
+    assert found["belt of right"].text == "segmenter/right sees it +11.0 mm off its calibration, leaning 1.5 deg"
+    assert found["belt of leaning"].text == "segmenter/leaning sees it leaning 20.0 deg against its calibration"
     assert check_running_belts(config, nodes, alive=set()) == []
 
 

@@ -63,6 +63,33 @@ def test_a_tilt_wrong_by_2_degrees_is_said_though_the_distance_is_right() -> Non
     assert levels["belt_alarm"] == 1
     assert abs(levels["belt_drift_mm"]) < 3
     assert levels["belt_tilt_off_deg"] == pytest.approx(2, abs=0.3)
+    leaning = f"{levels['belt_tilt_off_deg']:.1f} degrees"
+    assert belt_findings("front", levels)["belt_alarm"].startswith(
+        f"camera 'front': the belt is seen to lean {leaning} against its calibration: counts and weights are off."
+    )
+
+
+@pytest.mark.parametrize(
+    ("drift_mm", "tilt_deg", "said", "fix"),
+    [
+        (9.04, 0.3, "the belt is seen 9.0 mm farther than its calibration says:", "its belt_distance_m or belt_from"),
+        (-9.0, 0.0, "the belt is seen 9.0 mm nearer than its calibration says:", "its belt_distance_m or belt_from"),
+        (0.02, 20.0, "the belt is seen to lean 20.0 degrees against its calibration:", "its belt_from_camera"),
+        (-5.9, 1.1, "the belt is seen to lean 1.1 degrees against its calibration:", "its belt_from_camera"),
+        (
+            7.0,
+            2.0,
+            "7.0 mm farther than its calibration says, and leans 2.0 degrees against it:",
+            "its belt_from_camera",
+        ),
+    ],
+)
+def test_of_a_belt_only_what_is_off_is_said(drift_mm: float, tilt_deg: float, said: str, fix: str) -> None:
+    """A belt whose distance was right was "seen 0.0 mm farther ... and leans 20.0 degrees against it"."""
+    levels = {"belt_alarm": 1.0, "belt_drift_mm": drift_mm, "belt_tilt_off_deg": tilt_deg}
+    text = belt_findings("front", levels)["belt_alarm"]
+    assert f"{said} counts and weights are off. Measure the belt" in text
+    assert f"then give {fix}" in text
 
 
 def test_a_distance_25_mm_off_with_load_at_the_given_height_is_no_silence() -> None:

@@ -65,6 +65,16 @@ def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
     assert said in texts(with_node(good_state(), "segmenter/left", moved), "trouble")[0]
 
 
+def test_a_belt_that_leans_is_not_said_to_be_farther() -> None:
+    """It was said to be 0 mm nearer than calibrated."""
+    leans = segmenter("left", gauges={"belt_drift_mm": -0.2, "belt_tilt_off_deg": 1.42, "belt_alarm": 1.0})
+    (text,) = texts(with_node(good_state(), "segmenter/left", leans), "trouble")
+    assert "Under camera left the belt leans by 1.4° against its calibration: weights are wrong." in text
+    both = segmenter("left", gauges={"belt_drift_mm": -9.0, "belt_tilt_off_deg": 1.42, "belt_alarm": 1.0})
+    (text,) = texts(with_node(good_state(), "segmenter/left", both), "trouble")
+    assert "the belt is 9 mm nearer than calibrated" in text
+
+
 @pytest.mark.parametrize(
     ("levels", "level", "said"),
     [

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 
-from conveyor.belt_findings import belt_findings
+from conveyor.belt_findings import OFF_MM, belt_findings, belt_leans, belt_off
 from conveyor.config import LineConfig
 from conveyor.messages import Counters
 from tuberline.doctor.finding import Finding, fault, ok, warning
 
-OFF_MM, FAR_OFF_MM = 6.0, 20.0
-"""From the first on the segmenter raises its alarm, at the second it refuses the camera where nothing bears it out."""
+FAR_OFF_MM = 20.0
+"""From here on the segmenter refuses the camera where nothing bears it out; from `OFF_MM` on it raises its alarm."""
 LEAST_FRAMES = 2
 OTHER_WAY = {
     "belt_backwards": "turned_deg = 180 in the camera's section, or turn the camera; an encoder must count upwards",
@@ -78,9 +78,12 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
         found += _told(camera, gauges)
         if "belt_drift_mm" not in gauges:  # no belt was seen beside the load, or there is no distance to compare with
             continue
-        leans = f", leaning {gauges['belt_tilt_off_deg']:.1f} deg" if gauges.get("belt_tilt_off_deg") else ""
+        tilt_deg = gauges.get("belt_tilt_off_deg", 0.0)
+        leans = f", leaning {tilt_deg:.1f} deg" if tilt_deg else ""
         text = f"{name} sees it {gauges['belt_drift_mm']:+.1f} mm off its calibration{leans}"
         if gauges.get("belt_alarm"):
+            if belt_leans(gauges) and not belt_off(gauges):
+                text = f"{name} sees it leaning {tilt_deg:.1f} deg against its calibration"
             fix = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
             found.append(fault(f"belt of {camera}", text, fix))
         else:

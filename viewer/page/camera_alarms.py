@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from conveyor.belt_findings import belt_leans, belt_off
 from conveyor.reasons import ViewLoss
 from viewer.page.state import LineState, NodeState
 from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, Value, plain
@@ -55,6 +56,11 @@ def _gone(source: NodeState | None, segmenter: NodeState | None) -> Iterator[Fou
 def _belt(segmenter: NodeState) -> Iterator[Found]:
     drift_mm = segmenter.level("belt_drift_mm")
     if drift_mm is None or not segmenter.level("belt_alarm"):
+        return
+    levels = {name: segmenter.level(name) or 0.0 for name in ("belt_drift_mm", "belt_tilt_off_deg")}
+    if belt_leans(levels) and not belt_off(levels):
+        deg = levels["belt_tilt_off_deg"]
+        yield "belt", True, "alarm.camera.belt_leans", "todo.camera.belt_leans", {"deg": deg}
         return
     say = "alarm.camera.belt_further" if drift_mm > 0 else "alarm.camera.belt_nearer"
     yield "belt", True, say, "todo.camera.belt", {"mm": round(abs(drift_mm))}
