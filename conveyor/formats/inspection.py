@@ -108,7 +108,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
     steps_s = np.diff([key.captured_ns for key in keys]) / 1e9
     seen = [_belt_seen_m(frame) for frame in frames if frame.depth.any()]
     belt_seen_m = float(np.median(seen)) if seen else None
-    clock_faults = int(((steps_s <= 0) | (steps_s > 2.0)).sum())
+    faults = (steps_s <= 0) | (steps_s > 2.0)
     gaps = keys[-1].seq - keys[0].seq + 1 - len(keys)
     return CameraReport(
         name=d.name,
@@ -120,7 +120,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
         fps_given=d.fps,
         fps_seen=round(1 / float(np.median(steps_s)), 3) if len(steps_s) and np.median(steps_s) > 0 else None,
         duration_s=round(float(keys[-1].captured_ns - keys[0].captured_ns) / 1e9, 3),
-        clock_faults=clock_faults,
+        clock_faults=int(faults.sum()),
         depth_scale_m=d.depth_scale_m,
         belt_given_m=expected_distance_m(frames[0]) if frames else d.belt_distance_m,
         belt_seen_m=None if belt_seen_m is None else round(belt_seen_m, 4),
@@ -131,7 +131,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
             *texts,
             *described_doubtfully(d),
             *_scale_warnings(frames, belt_seen_m, d),
-            *_time_warnings(gaps, clock_faults),
+            *_time_warnings(gaps, keys, faults),
             *_rate_warnings(d.fps, steps_s),
         ),
     )
@@ -210,12 +210,19 @@ def impossible_distance(seen_m: float, depth_scale_m: float) -> str:
     )
 
 
-def _time_warnings(gaps: int, clock_faults: int) -> list[str]:
+def _time_warnings(gaps: int, keys: list[FrameKey], faults: NDArray[np.bool_]) -> list[str]:
+    """`faults`: (frames - 1,) where the step to the next frame is one."""
     warnings = []
     if gaps:
         warnings.append(f"{gaps} frame numbers are missing: they count as gaps")
-    if clock_faults:
-        warnings.append(f"{clock_faults} capture times step backwards or by more than 2 s")
+    if faults.any():
+        before, at = keys[int(faults.argmax())], keys[int(faults.argmax()) + 1]
+        warnings.append(
+            f"{faults.sum()} capture times step backwards or by more than 2 s, the first at frame {at.seq} "
+            f"({(at.captured_ns - before.captured_ns) / 1e9:+.3g} s): counts do without the clock, times of tubers and "
+            "their places in the field do not. Where the clock was set, correct captured_ns; where frames are out of "
+            "order, number them as they were taken"
+        )
     return warnings
 
 

@@ -175,6 +175,45 @@ def test_frames_csv_faults_have_their_line(small_recording: Path, line: str, tex
         open_source(small_recording)
 
 
+def _reordered(recording: Path, change: Callable[[list[list[str]]], list[list[str]]]) -> None:
+    path = recording / "front" / "frames.csv"
+    head, *rows = path.read_text().splitlines()
+    changed = change([row.split(",") for row in rows])
+    path.write_text("\n".join([head, *(",".join(cells) for cells in changed)]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda rows: [*rows[:3], rows[4], rows[3], *rows[5:]],
+            r"line 6: seq 3 after 4; numbers must rise: sort the rows",
+        ),
+        (
+            lambda rows: [*rows[:6], rows[2], *rows[6:]],
+            r"line 8: seq 2 after 5; numbers must rise\. Lines 4 and 8 have seq 2: remove the rows that are too many",
+        ),
+        (
+            lambda rows: [*rows[:6], *([str(n), *cells[1:]] for n, cells in enumerate(rows[6:9]))],
+            r"line 8: seq 0 after 5; .* Lines 2 and 8 have seq 0, and 2 other numbers several times: .* number the "
+            r"later rows on, and their files \(depth/000000\.png\)",
+        ),
+        (
+            lambda rows: [[seq[0], *cells[1:]] for seq, cells in zip(reversed(rows), rows, strict=True)],
+            r"Sorted by seq, captured_ns would fall: number the frames in the order of captured_ns, rows and files",
+        ),
+    ],
+    ids=["rows out of order", "a row twice", "counted from 0 again", "numbers against the clock"],
+)
+def test_rows_out_of_order_are_told_with_what_to_do(
+    change: Callable[[list[list[str]]], list[list[str]]], words: str, small_recording: Path
+) -> None:
+    """It was only said that numbers must rise."""
+    _reordered(small_recording, change)
+    with pytest.raises(InputError, match=words):
+        open_source(small_recording)
+
+
 def test_frames_csv_needs_its_header(small_recording: Path) -> None:
     path = small_recording / "front" / "frames.csv"
     path.write_text("0,1,2\n")

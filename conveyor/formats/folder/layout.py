@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import itertools
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -161,17 +163,48 @@ def read_frame_rows(path: Path) -> list[FrameRow]:
         raise InputError(f"{path} is not CSV text: {error}") from error
     if not lines or [cell.strip() for cell in lines[0]] != COLUMNS:
         raise InputError(f"{path} line 1: the header must be '{','.join(COLUMNS)}', got {lines[0] if lines else ''}")
-    rows: list[FrameRow] = []
-    for number, cells in enumerate(lines[1:], start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        row = _row(path, number, cells)
-        if rows and row.seq <= rows[-1].seq:
-            raise InputError(f"{path} line {number}: seq {row.seq} after {rows[-1].seq}; numbers must rise")
-        rows.append(row)
-    if not rows:
+    numbered = [
+        (number, _row(path, number, cells))
+        for number, cells in enumerate(lines[1:], start=2)
+        if any(cell.strip() for cell in cells)
+    ]
+    if not numbered:
         raise InputError(f"{path} names no frames")
-    return rows
+    if fault := _order_fault(numbered):
+        raise InputError(f"{path} {fault}")
+    return [row for _, row in numbered]
+
+
+def _order_fault(numbered: list[tuple[int, FrameRow]]) -> str:
+    """Where seq does not rise from line to line, in words, and what to do about it; empty where it does. Nothing is
+    sorted here: either the rows are out of order, or the numbers are, and these name the frames' files.
+    """
+    pairs = itertools.pairwise(numbered)
+    fallen = next(((before, at) for before, at in pairs if at[1].seq <= before[1].seq), None)
+    if fallen is None:
+        return ""
+    (_, before), (number, row) = fallen
+    where = f"line {number}: seq {row.seq} after {before.seq}; numbers must rise"
+    count = Counter(row.seq for _, row in numbered)
+    if double := [seq for seq, n in count.items() if n > 1]:
+        lines = [str(number) for number, row in numbered if row.seq == double[0]]
+        more = f", and {len(double) - 1} other numbers several times" if len(double) > 1 else ""
+        return (
+            f"{where}. Lines {' and '.join(lines[:5])} have seq {double[0]}{more}: remove the rows that are too many; "
+            "or, where the camera began to count again, number the later rows on, and their files "
+            f"(depth/{double[0]:06d}.png)"
+        )
+    if _rise([row for _, row in sorted(numbered, key=lambda at: at[1].seq)]):
+        return f"{where}: sort the rows by seq, the header stays the first line"
+    return (
+        f"{where}. Sorted by seq, captured_ns would fall: number the frames in the order of captured_ns, rows and "
+        "files (depth/, mask/, color/) alike"
+    )
+
+
+def _rise(rows: list[FrameRow]) -> bool:
+    """Capture times never fall from row to row."""
+    return all(row.captured_ns <= later.captured_ns for row, later in itertools.pairwise(rows))
 
 
 @dataclass(frozen=True, slots=True)
