@@ -33,6 +33,10 @@ NEAREST_M, FARTHEST_M = 0.15, 2.5
 UNITS_M = (0.001, 0.0001, 0.00025, 0.00005)
 """That cameras give: most, the D405 and SR300, the L515, some structured light."""
 LIKELY_M = (0.25, 1.5)
+COARSE_M = 0.002
+"""Metres; a depth unit of so much or more is told. On ten simulated belts of 14 to 20 tubers whose depth was rounded to
+it, loads moved by 1 % at 1.5 mm, by up to 4 % at 2 mm (one stone more), 6 % at 3 mm and 25 % at 5 mm. At 7 and 10 mm up
+to 11 and 13 of 14 tubers were taken for clods."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +173,13 @@ def told_at_once(path: Path, *, masks: bool = True, part: int | None = None) -> 
 
 def described_doubtfully(d: CameraDescription) -> tuple[str, ...]:
     """What is suspicious about a camera before any frame is looked at, in words."""
-    return (*d.notes, *_intrinsics_warnings(d.intrinsics), *_pose_warnings(d), *_resting_warnings(d))
+    return (
+        *d.notes,
+        *_unit_warnings(d.depth_scale_m),
+        *_intrinsics_warnings(d.intrinsics),
+        *_pose_warnings(d),
+        *_resting_warnings(d),
+    )
 
 
 def _samples(keys: list[FrameKey]) -> list[FrameKey]:
@@ -234,6 +244,17 @@ def _rate_warnings(fps: float, steps_s: NDArray[np.float64]) -> list[str]:
     return [
         f"capture times are {step_s:.3g} s apart but {fps:g} frames a second are given: captured_ns must be in "
         "nanoseconds, and fps the camera's own"
+    ]
+
+
+def _unit_warnings(depth_scale_m: float) -> list[str]:
+    """Where depth was rounded until a tuber is a few steps of it."""
+    if depth_scale_m < COARSE_M:
+        return []
+    return [
+        f"depth_scale_m says {depth_scale_m:g}: depth in steps of {1000 * depth_scale_m:.3g} mm. At "
+        f"{1000 * COARSE_M:g} mm loads read up to 4 % off, at 5 mm up to 25 %, and tubers are refused as clods. Record "
+        "again in the camera's own unit (0.001, a D405's 0.0001), what was rounded stays so; or correct depth_scale_m"
     ]
 
 

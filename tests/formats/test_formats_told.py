@@ -48,6 +48,27 @@ def test_focal_lengths_that_differ_are_told(command: str, squeezed: Path, capsys
     assert told[0].startswith("warning: camera 'front': ")
 
 
+@pytest.mark.parametrize(
+    ("depth_scale_m", "told"), [(0.0001, False), (0.001, False), (0.0015, False), (0.002, True), (0.005, True)]
+)
+def test_a_depth_unit_that_is_too_coarse_is_told(
+    depth_scale_m: float, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of steps of 5 mm tubers were refused as clods without a word."""
+    units = np.full((SMALL.height, SMALL.width), round(0.46 / depth_scale_m), np.uint16)
+    made = [replace(frame, depth=units, depth_scale_m=depth_scale_m) for frame in frames()]
+    path = write_folder(tmp_path / "r", made=made, intrinsics=SMALL)
+    camera_json = path / "front" / "camera.json"
+    described = json.loads(camera_json.read_text(encoding="utf-8"))
+    camera_json.write_text(json.dumps(described | {"depth_scale_m": depth_scale_m}), encoding="utf-8")
+    said = f"camera 'front': depth_scale_m says {depth_scale_m:g}: depth in steps of {1000 * depth_scale_m:g} mm"
+    assert any(text.startswith(said) for text in told_at_once(path)) == told
+    (camera,) = inspect_recording(path).cameras
+    assert any("Record again in the camera's own unit" in text for text in camera.warnings) == told
+    convert(path, tmp_path / "converted.mcap")
+    assert (f"warning: {said}" in capsys.readouterr().err) == told
+
+
 def test_all_say_what_info_says(squeezed: Path) -> None:
     """`replay` tells the same list; of a belt along the columns it named the focal lengths the wrong way round."""
     (camera,) = inspect_recording(squeezed).cameras
