@@ -90,6 +90,12 @@ class StorageError(LedgerError):
     exit_code = PASSING
 
 
+class OutputError(InputError):
+    """A file cannot be written now: its disk is full, read-only, away or reports errors."""
+
+    exit_code = PASSING
+
+
 class DeviceError(InputError):
     """A camera or its driver is not there, or does not answer."""
 
@@ -97,6 +103,6 @@ class DeviceError(InputError):
 
 
 class LinkError(TuberlineError):
-    """The router or a peer process cannot be reached."""
+    """The router, a peer process or another server cannot be reached."""
 
     exit_code = PASSING

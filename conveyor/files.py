@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, OutputError
 
 _FIXES = {
     errno.ENOSPC: "free space on that disk, or choose another place",
@@ -33,6 +33,11 @@ _FIXES = {
     errno.EMFILE: "too many files are open: raise the limit (ulimit -n)",
     errno.EIO: "the disk reports a fault: check it before you go on",
 }
+
+_PASSING = frozenset(
+    {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ESTALE, errno.ENODEV, errno.ENXIO, errno.ETIMEDOUT}
+)
+"""Faults of a disk, which may be gone at the next try. A name, a right or a limit of this user stays as it is."""
 
 LEAST_FREE_BYTES = 256 * 1024
 """With less a database cannot even be opened, though a few bytes still fit."""
@@ -53,8 +58,8 @@ def whole_output(target: Path) -> Iterator[Path]:
     already, what was made is put into it. Where the block raises, all of it is removed.
 
     Raises:
-        InputError: the disk is full, or the place cannot be written, or a file that the block reads cannot be; the text
-            says which, why, and how to fix it.
+        InputError: the place cannot be written, or a file that the block reads cannot be; the text says which, why, and
+            how to fix it. OutputError: of these a disk that is full, read-only, away or reports errors.
     """
     scratch: Path | None = None
     try:
@@ -65,12 +70,12 @@ def whole_output(target: Path) -> Iterator[Path]:
             _move(made, target.parent / made.name)
     except OSError as error:
         if scratch is not None and error.filename is not None and str(scratch) not in str(error.filename):
-            raise InputError(told(error)) from error  # of what the block reads
-        raise InputError(f"{target} cannot be written: {cause(error)}") from error
+            raise fault_of(error, told(error)) from error  # of what the block reads
+        raise fault_of(error, f"{target} cannot be written: {cause(error)}") from error
     except InputError as error:
-        if scratch is None or str(scratch) not in str(error):
-            raise
-        raise InputError(str(error).replace(str(scratch), str(target.parent))) from error
+        if scratch is not None:
+            error.args = (str(error).replace(str(scratch), str(target.parent)), *error.args[1:])
+        raise
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -133,12 +138,30 @@ def cause(error: OSError) -> str:
     return (error.strerror or str(error) or type(error).__name__) + (f"; {fix}" if fix else "")
 
 
+def may_pass(error: OSError) -> bool:
+    """A fault of a disk, which another try may not meet."""
+    return error.errno in _PASSING
+
+
+def fault_of(error: OSError, text: str) -> InputError:
+    """The error to raise for a file that cannot be read or written."""
+    return OutputError(text) if may_pass(error) else InputError(text)
+
+
+def picture_fault(path: Path) -> InputError:
+    """The error to raise for a picture that OpenCV could not write, which does not say why."""
+    trouble = unwritable(path.parent)
+    if trouble:
+        return OutputError(f"{path} cannot be written: {trouble}")
+    return InputError(f"{path} cannot be written; may this user write there, and files become so large?")
+
+
 def check_place(target: Path, *, option: str) -> None:
     """Refuse before minutes of work what could not be written after them; the folder of `target` is made.
 
     Raises:
-        InputError: a folder is there, its own folder cannot be made, or there is no room on its disk; named by
-            `option`.
+        InputError: a folder is there, or its own folder cannot be made; named by `option`. OutputError: its disk is
+            full or read-only.
     """
     if target.is_dir():
         raise InputError(f"{option} {target} is a folder: name a file")
@@ -146,9 +169,9 @@ def check_place(target: Path, *, option: str) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{option} {target}: its folder cannot be made: {cause(error)}") from error
+        raise fault_of(error, f"{option} {target}: its folder cannot be made: {cause(error)}") from error
     if trouble := unwritable(folder):
-        raise InputError(f"{option} {target} cannot be written: {trouble}")
+        raise OutputError(f"{option} {target} cannot be written: {trouble}")
 
 
 def check_picture(target: Path, *, option: str) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from conveyor.errors import ConfigError, InputError
 from conveyor.extras import missing_package
-from conveyor.files import cause, replacing
+from conveyor.files import cause, fault_of, replacing
 from conveyor.identity import CA_FILE, Identity
 
 try:
@@ -239,7 +239,7 @@ def _make_private(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(0o700)
     except OSError as error:
-        raise InputError(f"folder {folder} cannot be made: {error.strerror or error}") from error
+        raise fault_of(error, f"folder {folder} cannot be made: {cause(error)}") from error
 
 
 def _write_pair(
@@ -255,4 +255,4 @@ def _write_private(path: Path, data: bytes) -> None:
         with replacing(path, mode=0o600) as file:
             file.write(data)
     except OSError as error:
-        raise InputError(f"{path} cannot be written: {cause(error)}") from error
+        raise fault_of(error, f"{path} cannot be written: {cause(error)}") from error

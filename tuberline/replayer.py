@@ -14,8 +14,8 @@ from aggregator.ledger.files import write_whole
 from conveyor.belt_findings import belt_findings
 from conveyor.config import REPLAY_NAME, LineConfig, dump_toml, load_config, parse_config
 from conveyor.contract import read_contract
-from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
-from conveyor.files import cause, unwritable, whole_output
+from conveyor.errors import InputError, LinkError, OutputError, StorageError, TuberlineError
+from conveyor.files import cause, fault_of, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.stated import level_fault
@@ -217,11 +217,11 @@ def prepare_out(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out {out} cannot be made: {cause(error)}") from error
+        raise fault_of(error, f"--out {out} cannot be made: {cause(error)}") from error
     if trouble := unwritable(out):
         if made:
             out.rmdir()
-        raise InputError(f"--out {out} cannot be written: {trouble}")
+        raise OutputError(f"--out {out} cannot be written: {trouble}")
 
 
 def take_positions(recording: Path, out: Path) -> None:

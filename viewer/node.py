@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.config import LineConfig
-from conveyor.errors import ConfigError
+from conveyor.errors import ConfigError, OutputError
+from conveyor.files import cause, may_pass
 from conveyor.node import Node
 from viewer.scene.field_scene import NewCells
 from viewer.scene.inputs import Inputs
@@ -59,7 +60,8 @@ class Target:
                 self.rrd.parent.mkdir(parents=True, exist_ok=True)
                 self.rrd.open("ab").close()
             except OSError as error:
-                raise ConfigError(f"viewer file {self.rrd} cannot be written: {error.strerror or error}") from error
+                text = f"viewer file {self.rrd} cannot be written: {cause(error)}"
+                raise OutputError(text) if may_pass(error) else ConfigError(text) from error
 
 
 def run_viewer(

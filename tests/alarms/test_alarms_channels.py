@@ -202,9 +202,11 @@ def test_mqtt_arrives_at_a_real_broker_and_a_wrong_password_is_told(broker: int,
     assert json.loads(end.payload)["lost_before"] == 4
     assert begin.qos == 1
     (wrong,) = channels(tmp_path, f"mqtt://north:wrong@127.0.0.1:{broker}/farm/north/alarms")
-    with pytest.raises(ChannelError, match="refuses"):
+    with pytest.raises(ChannelError, match="refuses") as caught:
         wrong.send(message(2), lost_before=0)
     assert "wrong" not in wrong.shown
+
+    assert caught.value.lasting, "a wrong password stays wrong"
 
 
 def connected(client: Any, port: int) -> bool:

@@ -27,11 +27,22 @@ WITHIN_S = 10.0
 
 
 class ChannelError(Exception):
-    """It was not taken now; the text says why and holds no secret."""
+    """It was not taken now; the text says why and holds no secret.
+
+    Attributes:
+        lasting: it will not be taken before somebody corrects something: address, key, certificate, or the server.
+    """
+
+    def __init__(self, text: str, *, lasting: bool = False) -> None:
+        super().__init__(text)
+        self.lasting = lasting
 
 
 class RefusedError(ChannelError):
     """The server will never take this message."""
+
+    def __init__(self, text: str, *, lasting: bool = True) -> None:
+        super().__init__(text, lasting=lasting)
 
 
 class Channel(Protocol):

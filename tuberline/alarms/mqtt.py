@@ -11,6 +11,8 @@ from tuberline.alarms.channels import WITHIN_S, Address, ChannelError, needs_ext
 from tuberline.alarms.message import AlarmMessage
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
+LATER = ("server unavailable", "server busy", "quota exceeded", "connection rate exceeded", "unspecified error")
+"""What a broker says that may take it later; all else is of the login, the name or the rights."""
 
 
 class Mqtt:
@@ -52,14 +54,14 @@ class Mqtt:
             if not answered.wait(WITHIN_S):
                 raise ChannelError("the broker does not answer")
             if answer[0].is_failure:
-                raise ChannelError(f"the broker refuses: {answer[0]}")
+                raise ChannelError(f"the broker refuses: {answer[0]}", lasting=str(answer[0]).lower() not in LATER)
             body = json.dumps(message.as_dict(lost_before=lost_before))
             receipt = client.publish(self._topic, body, qos=1)
             receipt.wait_for_publish(WITHIN_S)
             if not receipt.is_published():
                 raise ChannelError("the broker gives no receipt")
         except (OSError, ValueError, RuntimeError) as error:
-            raise ChannelError(str(error) or type(error).__name__) from error
+            raise ChannelError(str(error) or type(error).__name__, lasting=isinstance(error, ValueError)) from error
         finally:
             client.disconnect()
             client.loop_stop()

@@ -23,6 +23,9 @@ PLAIN = "/%:@!$&'()*+,;=?~"
 NEVER = frozenset({400, 413, 415, 422})
 """Answers that say that this message is wrong; others (a wrong path, a wrong key) are corrected at the server."""
 
+LATER = frozenset({408, 425, 429})
+"""Answers of a server that has no time now; all others below 500 last until somebody corrects something."""
+
 
 class Webhook:
     """Posts to one address. A redirection is an error: it would turn the POST into a GET."""
@@ -51,11 +54,12 @@ class Webhook:
         except urllib.error.HTTPError as error:
             error.close()
             kind = RefusedError if error.code in NEVER else ChannelError
-            raise kind(f"it answers {error.code} {error.reason}") from error
-        except urllib.error.URLError as error:
-            raise ChannelError(str(error.reason)) from error
+            lasting = error.code < 500 and error.code not in LATER
+            raise kind(f"it answers {error.code} {error.reason}", lasting=lasting) from error
+        except urllib.error.URLError as error:  # a certificate that is not believed is a ValueError too
+            raise ChannelError(str(error.reason), lasting=isinstance(error.reason, ValueError)) from error
         except (OSError, ValueError, http.client.HTTPException) as error:
-            raise ChannelError(str(error) or type(error).__name__) from error
+            raise ChannelError(str(error) or type(error).__name__, lasting=isinstance(error, ValueError)) from error
 
 
 class _Cut(http.client.HTTPConnection):

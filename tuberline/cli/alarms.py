@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from conveyor.config import load_config
-from conveyor.errors import ConfigError, InputError
+from conveyor.errors import ConfigError, InputError, LinkError
 
 if TYPE_CHECKING:
     from tuberline.alarms.channels import Channel
@@ -58,12 +58,19 @@ def _try(line: str, channels: tuple[Channel, ...]) -> None:
     name = f"test-{uuid.uuid4().hex[:12]}"
     text, fix = "This is a test of the line's alarms.", "Nothing needs to be done."
     message = AlarmMessage(f"{name}-begin", name, "begin", line, "", "test", "note", text, fix, time.time())
-    failed = []
+    failed, lasting = [], False
     for channel in channels:
         try:
             channel.send(message, lost_before=0)
             sys.stdout.write(f"{channel.shown} took it\n")
         except ChannelError as error:
             failed.append(f"{channel.shown} did not take it: {error}")
-    if failed:
+            lasting = lasting or error.lasting
+    if lasting:
+        failed.append("correct its address, path, key or certificate, in [alarms] or at the server, and try again")
         raise InputError("\n".join(failed))
+    if failed:
+        failed.append(
+            "look whether it runs and this machine reaches it, and try again; `tuberline alarms` does so itself"
+        )
+        raise LinkError("\n".join(failed))

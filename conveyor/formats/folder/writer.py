@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
+from conveyor.files import picture_fault
 from conveyor.formats.folder.layout import COLUMNS, camera_json
 from conveyor.formats.source import CameraDescription
 from conveyor.formats.within import plain_name
@@ -69,7 +69,7 @@ class FolderWriter:
 def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
     """A 16-bit PNG, written fast rather than small."""
     if not cv2.imwrite(str(path), image, _FAST_PNG):
-        raise InputError(f"{path} cannot be written; is the disk full?")
+        raise picture_fault(path)
 
 
 def write_line_file(recording: Path, cameras: list[str], *, belt_speed_mps: float | None) -> None:

@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.files import cause, fault_of
 from conveyor.formats.mcap.layout import (
     ENCODING,
     FORMAT_METADATA,
@@ -112,4 +113,4 @@ def open_new(path: Path) -> IO[bytes]:
     except FileExistsError as error:
         raise InputError(f"{path} exists; recordings are not overwritten, choose another name") from error
     except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+        raise fault_of(error, f"{path} cannot be written: {cause(error)}") from error

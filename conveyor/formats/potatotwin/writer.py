@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
+from conveyor.files import picture_fault
 from conveyor.formats.ply import write_ply
 from conveyor.formats.potatotwin.intrinsics import intrinsics_json
 from conveyor.formats.potatotwin.layout import CLOUDS, IMAGES, INTRINSICS, RGBD, SPLITS, TRUTH
@@ -89,4 +89,4 @@ class TwinFolderWriter:
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
     if not cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 3]):
-        raise InputError(f"{path} cannot be written; is the disk full?")
+        raise picture_fault(path)
