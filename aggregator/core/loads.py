@@ -163,7 +163,9 @@ class LoadBook:
     events: dict[str, LoadEvent] = field(default_factory=dict)
     """By request."""
     last_n: int = 0
-    _undone: set[int] = field(default_factory=set)
+    closed: dict[int, int] = field(default_factory=dict)
+    """Number of the load that was open and ended, by number of the event that ended it: an end, or another's start."""
+    undone: set[int] = field(default_factory=set)
     """Numbers of the changes that were taken back."""
 
     @classmethod
@@ -237,6 +239,7 @@ class LoadBook:
     def _close_open(self, event: LoadEvent) -> None:
         if (open_load := self.open_load(event.run)) is not None:
             self.loads[open_load.number] = replace(open_load, ended_ns=event.said_ns)
+            self.closed[event.n] = open_load.number
 
     def _begin_span(self, event: LoadEvent, load: int) -> None:
         spans = self.spans.setdefault(event.run, [Span(0, NO_LOAD, math.inf)])
@@ -257,7 +260,7 @@ class LoadBook:
         undone = self.last_change(event.run)
         if undone is None or undone.n != event.payload.get("event"):
             return  # what it undid was lost to damage
-        self._undone.add(undone.n)
+        self.undone.add(undone.n)
         gone = self.spans[event.run].pop()
         if undone.load in self.loads:
             self.loads[undone.load] = self._without(undone)
@@ -273,7 +276,7 @@ class LoadBook:
         load = self.loads[undone.load]
         fields: dict[str, Any] = dict.fromkeys(FIELDS, "")
         for event in self.events.values():
-            if event.load == load.number and (event.kind is Said.START or event.n not in self._undone):
+            if event.load == load.number and (event.kind is Said.START or event.n not in self.undone):
                 fields |= _fields(event)
         return replace(
             load,

@@ -88,10 +88,12 @@ def _grams(ticket: LoadTicket | None) -> float | None:
 
 
 def _said(book: LoadBook, load: Load) -> list[dict[str, Any]]:
-    """All that was said of a load, oldest first: who, when, what; that its end or another change was undone, too."""
+    """All that was said of a load, oldest first: who, when, what; that its end or another change was undone, too. Also
+    what another load did to it: one that starts or goes on ends the open one.
+    """
     told = []
     for event in book.events.values():
-        texts = _texts(book, event) if event.load == load.number else []
+        texts = _texts(book, event) if event.load == load.number else _of_other(book, event, load)
         told += [{"unix_s": event.said_ns / 1e9, "by": event.said_by, "text": text} for text in texts]
     return told
 
@@ -108,3 +110,14 @@ def _texts(book: LoadBook, event: LoadEvent) -> list[str]:
     fields = {} if event.kind is Said.START else event.payload.get("fields", {})
     noted = [event.payload.get("note", ""), ", ".join(f"{name} is {text}" for name, text in fields.items())]
     return [text for text in (did, "; ".join(filter(None, noted))) if text]
+
+
+def _of_other(book: LoadBook, event: LoadEvent, load: Load) -> list[str]:
+    """What an event of another load did to `load`, in words: it ended it, or such an end was undone."""
+    if event.kind is Said.UNDO:
+        undone = event.payload.get("event")
+        return ["the end is undone"] if undone in book.undone and book.closed.get(undone) == load.number else []
+    if book.closed.get(event.n) != load.number:
+        return []
+    did = "went on" if event.kind is Said.RESUME else "began"
+    return [f"ended, for {book.loads[event.load].told} {did}"]

@@ -87,6 +87,29 @@ def test_all_that_was_said_of_a_load_is_listed_with_who_said_it(tmp_path: Path) 
     ]
 
 
+def test_a_load_that_the_next_one_ended_says_so(tmp_path: Path) -> None:
+    """One that was ended by hand had a line 'ended' in its history; one that ended as the next one began had none."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Loads(ledger, story())
+        orders: list[tuple[str, dict[str, Any]]] = [
+            ("start", {"x_m": -0.1, "fields": {"name": "A"}}),
+            ("start", {"x_m": -0.2, "fields": {"name": "B"}}),
+            ("undo", {}),
+            ("start", {"x_m": -0.3}),
+            ("start", {"x_m": -0.4, "load": "A"}),
+            ("end", {"x_m": -0.5}),
+        ]
+        for n, (action, more) in enumerate(orders):
+            it.order(f"o{n}", action, now_ns=n * S, **more)
+    with reading(tmp_path / "ledger.db") as view:
+        third, first = loads_of(view, limit=9)
+    assert [(said["unix_s"], said["by"], said["text"]) for said in first["said"]] == [
+        (0, "me", "began"), (1, "me", "ended, for load 2 (B) began"), (2, "me", "the end is undone"),
+        (3, "me", "ended, for load 3 began"), (4, "me", "went on"), (5, "me", "ended"),
+    ]  # fmt: skip
+    assert [said["text"] for said in third["said"]] == ["began", "ended, for load 1 (A) went on"]
+
+
 def test_a_load_that_is_ended_after_the_belt_ends_there_in_words(
     tmp_path: Path,
 ) -> None:

@@ -54,6 +54,19 @@ def test_times_of_day_say_their_zone(capsys: pytest.CaptureFixture[str], monkeyp
     assert second.count("UTC+2") == 2, second
 
 
+def test_a_load_that_ended_with_its_run_says_so_below_what_was_said(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nobody says such an end, so its history stopped at its beginning."""
+    load = {**SAID, "number": 2, "name": "trailer 7", "open": False, "count": 0, "coverage": None, "net_g": None}
+    load |= {"began_unix_s": 1.79e9, "ended_unix_s": None, "said": [{"unix_s": 1.79e9, "by": "", "text": "began"}]}
+    print_load(load)
+    print_load(load | {"ended_unix_s": 1.79e9 + 600})
+    print_load(load | {"open": True})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("ended")] == ["ended with its run"]
+    at = lines.index("ended with its run")
+    assert lines[at - 1].endswith("unknown: began"), lines
+
+
 @pytest.mark.parametrize(
     ("offset_s", "told"), [(0, "UTC"), (7200, "UTC+2"), (-12600, "UTC-3:30"), (20700, "UTC+5:45"), (-43200, "UTC-12")]
 )

@@ -20,6 +20,8 @@ from tuberline.cli.address import LineAddress
 
 MOST_ASKED = 50
 """Of a running line."""
+OF_RUN = "its run"
+"""Said by no one: a load is open no more when its run ends."""
 NAMED = 8
 """In an error."""
 DESCRIBED = ("trailer", "field", "variety", "customer", "operator")
@@ -116,6 +118,8 @@ def print_load(load: dict[str, Any]) -> None:
     print_loads([load])
     for said in load["said"]:
         console.print(Text(f"{_clock(said['unix_s'])}  {said['by'] or 'unknown'}: {said['text']}"))
+    if _ended(load) == OF_RUN:
+        console.print("ended with its run")
     for change in load.get("heights", ()):
         console.print(Text(heights_told(HeightChange(**change))))
 
@@ -130,7 +134,7 @@ def weight_told(middle_g: float, low_g: float, high_g: float) -> str:
 def _ended(load: dict[str, Any]) -> str:
     if load["undone"] or load["open"]:
         return "undone" if load["undone"] else "open"
-    return "its run" if load["ended_unix_s"] is None else "\n".join(local_clock(load["ended_unix_s"], "%H:%M"))
+    return OF_RUN if load["ended_unix_s"] is None else "\n".join(local_clock(load["ended_unix_s"], "%H:%M"))
 
 
 def _clock(unix_s: float) -> str:
