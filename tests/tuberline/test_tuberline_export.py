@@ -24,12 +24,12 @@ from conveyor.errors import InputError
 from conveyor.formats.positions import PositionsWriter
 from tests.written_run import write_run
 from tuberline.cli.export import export
+from tuberline.export.counted import counted_on
 from tuberline.export.isoxml.archive import read_time_logs
 from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME, log_of, task_xml
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records, unpack_records
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.wrong import what_went_wrong
-from tuberline.export.tubers import read_day
 from tuberline.maps.field import Settings, field_map
 
 pytest.importorskip("pyproj")
@@ -280,7 +280,8 @@ def test_the_map_in_a_days_report_is_of_that_day(run: Path, tmp_path: Path) -> N
     shutil.copytree(run, folder)
     (day,), later_ns = simulate_field(WORLD, seed=SEED).machines, 86_400_000_000_000
     write_run(folder, run="tuesday", crossed_ns=day.crossed_ns + later_ns, weight_g=day.weight_g)
-    monday, (tuesday, *_) = read_day([folder], "2026-09-21")[0], read_day([folder], "2026-09-22")[0]
+    with counted_on([folder], "2026-09-21") as first, counted_on([folder], "2026-09-22") as second:
+        monday, (tuesday, *_) = list(first[0]), second[0]
     assert (len(monday), {tuber.run for tuber in monday}, tuesday.run) == (len(day.weight_g), {"monday"}, "tuesday")
     export([folder], format="html", day="2026-09-21", out=tmp_path / "day.html", **HOW)  # type: ignore[arg-type]
     assert "all that was lifted in monday." in (tmp_path / "day.html").read_text()

@@ -12,7 +12,9 @@ from conveyor.errors import InputError
 from tuberline.cli.numbers import TrackShift
 
 if TYPE_CHECKING:
-    from conveyor.messages import Tuber
+    from collections.abc import Sequence
+
+    from tuberline.export.counted import LedgerTubers
     from tuberline.maps.field import FieldPlaces
 
 
@@ -70,7 +72,7 @@ def export(
     """
     from tuberline.cli.progress import ledger_bar
     from tuberline.cli.run_files import each_once, output
-    from tuberline.export.tubers import read_all
+    from tuberline.export.counted import counted
     from tuberline.export.write import ENDINGS, NEED_PLACES, REPORTS, Format
     from tuberline.export.write import export as write
 
@@ -83,43 +85,57 @@ def export(
     name = "report" if form in REPORTS else "taskdata" if form is Format.ISOXML else what
     runs, tracks = each_once(runs, track or [])
     target = output(runs, f"{name}.{ENDINGS.get(form, form.value)}", out, read=(*tracks, contract))
-    # Read once: the map is made of the same tubers as the rows.
-    with ledger_bar(form.value):
-        tubers = read_all(runs) if what == "tubers" and form not in REPORTS else None
     how = {"width_m": width_m, "overlap_m": overlap_m, "delay_s": delay_s, "antenna_ahead_m": None}
-    field, no_map = None, ""
-    if what != "loads":
-        try:
-            with ledger_bar("positions"):
-                settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
-                field = _field(runs, tracks, settings, tubers, mapped=what == "cells" or form in REPORTS, day=day)
-        except InputError as error:
-            if tracks or form in NEED_PLACES or what == "cells":
-                raise
-            no_map = str(error)  # positions were found, a map was not asked for
-            if form not in REPORTS:  # which says why itself
-                sys.stderr.write(f"tubers without their places: {error}\n")
-    if form in REPORTS:
-        from tuberline.export.report.make import write_report
-        from tuberline.maps.field import FieldMap
-
-        pdf, drawn = form is Format.PDF, field if isinstance(field, FieldMap) else None
-        with ledger_bar("report"):
-            loads = write_report(runs, target, pdf=pdf, field=drawn, no_map=no_map, day=day, contract=contract)
-        sys.stdout.write(f"report of {loads} load{'s' * (loads != 1)} in {target}\n")
-        return
-    with ledger_bar(form.value):
-        rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
+    settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
+    # Of one moment: places are found for the same tubers as the rows have.
+    with counted(runs if what == "tubers" and form not in REPORTS else ()) as tubers:
+        field, no_map = None, ""
+        if what != "loads":
+            try:
+                with ledger_bar("positions"):
+                    mapped = what == "cells" or form in REPORTS
+                    field = _field(runs, tracks, settings, tubers, mapped=mapped, day=day)
+            except InputError as error:
+                if tracks or form in NEED_PLACES or what == "cells":
+                    raise
+                no_map = str(error)  # positions were found, a map was not asked for
+                if form not in REPORTS:  # which says why itself
+                    sys.stderr.write(f"tubers without their places: {error}\n")
+        if form in REPORTS:
+            _report(runs, target, field, pdf=form is Format.PDF, no_map=no_map, day=day, contract=contract)
+            return
+        with ledger_bar(form.value):
+            rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
     noun = "record" if form is Format.ISOXML else "row"
     written = f"{rows} {noun}{'s' * (rows != 1)}"
     sys.stdout.write(f"{written}{'' if form is Format.ISOXML else f' of {what}'} in {target}\n")
+
+
+def _report(
+    runs: list[Path],
+    target: Path,
+    field: FieldPlaces | None,
+    *,
+    pdf: bool,
+    no_map: str,
+    day: str | None,
+    contract: Path | None,
+) -> None:
+    from tuberline.cli.progress import ledger_bar
+    from tuberline.export.report.make import write_report
+    from tuberline.maps.field import FieldMap
+
+    drawn = field if isinstance(field, FieldMap) else None
+    with ledger_bar("report"):
+        loads = write_report(runs, target, pdf=pdf, field=drawn, no_map=no_map, day=day, contract=contract)
+    sys.stdout.write(f"report of {loads} load{'s' * (loads != 1)} in {target}\n")
 
 
 def _field(
     runs: list[Path],
     tracks: list[Path],
     how: dict[str, Any],
-    tubers: list[list[Tuber]] | None,
+    tubers: Sequence[LedgerTubers],
     *,
     mapped: bool,
     day: str | None,
@@ -130,7 +146,7 @@ def _field(
 
     if not tracks and not any((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
         return None
-    from tuberline.export.tubers import read_day
+    from tuberline.export.counted import counted_on
     from tuberline.maps.field import check_tracks, field_map, field_places
     from tuberline.maps.settings import settings_of
 
@@ -140,13 +156,13 @@ def _field(
     if day is None:
         return field_map(runs, tracks, settings)
     check_tracks(runs, tracks)
-    of_day = read_day(runs, day)
-    there = [n for n, found in enumerate(of_day) if found]
-    if not there:
-        return None  # the report itself says which days there are
-    return field_map(
-        [runs[n] for n in there],
-        [tracks[n] for n in there if tracks],
-        [settings[n] for n in there],
-        tubers=[of_day[n] for n in there],
-    )
+    with counted_on(runs, day) as of_day:
+        there = [n for n, found in enumerate(of_day) if next(iter(found), None) is not None]
+        if not there:
+            return None  # the report itself says which days there are
+        return field_map(
+            [runs[n] for n in there],
+            [tracks[n] for n in there if tracks],
+            [settings[n] for n in there],
+            tubers=[of_day[n] for n in there],
+        )

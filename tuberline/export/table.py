@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import islice
+from typing import Any, TypeVar
 
+T = TypeVar("T")
+BATCH = 4096
+"""Rows that are in memory at once, where it takes several to be quick."""
 Ring = Sequence[tuple[float, float]]
 """Longitudes and latitudes, the first point once more at the end."""
 
@@ -22,8 +26,9 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows in the order of `columns`; `polygons` are the areas of the rows, where they have one: a ring each, or one on
-    either side of the 180th meridian.
+    """Rows in the order of `columns`, each as it is asked for, so that they need not be in memory.
+
+    `polygons` are the areas of the rows, where they have one: a ring each, or one on either side of the 180th meridian.
 
     Attributes:
         name: 'tubers', 'loads' or 'cells'.
@@ -32,11 +37,13 @@ class Table:
 
     name: str
     columns: tuple[Column, ...]
-    rows: Sequence[tuple[Any, ...]]
+    rows: Iterable[tuple[Any, ...]]
     about: dict[str, Any]
     polygons: Sequence[Sequence[Ring]] | None = None
 
-    def column(self, name: str) -> list[Any]:
-        """All values of one column."""
-        at = [column.name for column in self.columns].index(name)
-        return [row[at] for row in self.rows]
+
+def in_batches(rows: Iterable[T]) -> Iterator[list[T]]:
+    """All of `rows` in order, `BATCH` at a time; the last ones may be fewer."""
+    left = iter(rows)
+    while batch := list(islice(left, BATCH)):
+        yield batch

@@ -12,12 +12,18 @@ from tuberline.export.table import Table
 _CSVW = {"text": "string", "whole": "integer", "number": "number", "time": "datetime"}
 
 
-def write_csv(table: Table, path: Path) -> None:
-    """The rows, and beside them NAME.csv-metadata.json: names, units and meanings by the W3C's CSV on the Web."""
+def write_csv(table: Table, path: Path) -> int:
+    """The rows, and beside them NAME.csv-metadata.json: names, units and meanings by the W3C's CSV on the Web.
+
+    Returns how many rows there are.
+    """
+    rows = 0
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([column.name for column in table.columns])
-        writer.writerows(table.rows)
+        for row in table.rows:
+            writer.writerow(row)
+            rows += 1
     told = {
         "@context": ["http://www.w3.org/ns/csvw", {"@language": "en"}],
         "url": path.name,
@@ -36,23 +42,30 @@ def write_csv(table: Table, path: Path) -> None:
         "dc:description": table.about,
     }
     path.with_name(f"{path.name}-metadata.json").write_text(json.dumps(told, indent=1) + "\n")
+    return rows
 
 
-def write_geojson(table: Table, path: Path) -> None:
-    """A FeatureCollection (RFC 7946); rows without a place have no geometry. `about` and `units` stand beside it."""
-    names = [column.name for column in table.columns]
-    features = []
-    for n, row in enumerate(table.rows):
-        values = dict(zip(names, row, strict=True))
-        features.append({"type": "Feature", "geometry": _geometry(table, n, values), "properties": values})
+def write_geojson(table: Table, path: Path) -> int:
+    """A FeatureCollection (RFC 7946); rows without a place have no geometry. `about` and `units` stand beside it.
+
+    Returns how many features there are. They come last and are written one by one.
+    """
     told = {
         "type": "FeatureCollection",
         "name": table.name,
         "about": table.about,
         "units": {column.name: column.unit for column in table.columns if column.unit},
-        "features": features,
     }
-    path.write_text(json.dumps(told) + "\n")
+    names, rows = [column.name for column in table.columns], 0
+    with path.open("w") as file:
+        file.write(f'{json.dumps(told)[:-1]}, "features": [')
+        for n, row in enumerate(table.rows):
+            values = dict(zip(names, row, strict=True))
+            feature = {"type": "Feature", "geometry": _geometry(table, n, values), "properties": values}
+            file.write(f"{', ' if n else ''}{json.dumps(feature)}")
+            rows += 1
+        file.write("]}\n")
+    return rows
 
 
 def _geometry(table: Table, n: int, values: dict[str, Any]) -> dict[str, Any] | None:

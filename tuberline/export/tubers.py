@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from aggregator.ledger.load_totals import ReadLoads
-from aggregator.ledger.reader import all_runs, ledger_file, read_sums, read_tubers, reading, runs_in_words
+from aggregator.ledger.reader import all_runs, ledger_file, read_sums, reading, runs_in_words
 from aggregator.ledger.stated import belt_of_run, stated_beside
-from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, labelled, total_of, totals_by
+from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, total_of, totals_by
 from conveyor import __version__
 from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
-from tuberline.export.table import Column, Table
+from tuberline.export.table import Column, Table, in_batches
 from tuberline.maps.field import FieldPlaces
 
 TUBER_COLUMNS = (
@@ -54,50 +53,28 @@ LOAD_COLUMNS = (
 )
 
 
-def read_all(runs: Sequence[Path]) -> list[list[Tuber]]:
-    """The tubers of each ledger, of all of its runs one after the other."""
-    found = []
-    for path in runs:
-        file = ledger_file(path)
-        with reading(file) as db:
-            found.append([tuber for run in all_runs(db, file) for tuber in read_tubers(db, run.run)])
-    return found
+def tubers_table(runs: Sequence[Path], field: FieldPlaces | None, tubers: Sequence[Iterable[Tuber]]) -> Table:
+    """Every tuber of `runs`; with a place where `field` knows the machines' ways. Rows are read as they are written.
 
-
-def read_day(runs: Sequence[Path], day: str) -> list[list[Tuber]]:
-    """Those of each ledger whose load began on `day` (YYYY-MM-DD), of a run without loads those of one of that day."""
-    found = []
-    for path in runs:
-        file = ledger_file(path)
-        with reading(file) as db:
-            ledger = ReadLoads(db)
-            days = {load.load.number if load.load else load.run: load.labels["day"] for load in labelled(ledger, ())}
-            tubers = (tuber for run in all_runs(db, file) for tuber in read_tubers(db, run.run))
-            found.append([tuber for tuber in tubers if days.get(ledger.load_of(tuber) or tuber.run) == day])
-    return found
-
-
-def tubers_table(
-    runs: Sequence[Path], field: FieldPlaces | None, read: Sequence[Sequence[Tuber]] | None = None
-) -> Table:
-    """Every tuber of `runs`; with a place where `field` knows the machines' ways.
-
-    `read`: the tubers of each ledger, where they were read already.
+    `tubers`: those of each ledger.
 
     Raises:
         InputError: the runs hold no tuber.
     """
-    rows: list[tuple[Any, ...]] = []
-    for number, tubers in enumerate(read_all(runs) if read is None else read):
-        values = [_tuber(tuber) for tuber in tubers]
-        if field is not None:
-            places = _places(field, number, tubers)
-            values = [(*row, *place) for row, place in zip(values, places, strict=True)]
-        rows += values
-    if not rows:
+    if next((tuber for each in tubers for tuber in each), None) is None:
         raise InputError(f"{', '.join(map(str, runs))}: no tuber was counted, there is nothing to export")
     columns = TUBER_COLUMNS if field is None else TUBER_COLUMNS + PLACE_COLUMNS
-    return Table("tubers", columns, rows, about(runs))
+    return Table("tubers", columns, _rows(tubers, field), about(runs))
+
+
+def _rows(tubers: Sequence[Iterable[Tuber]], field: FieldPlaces | None) -> Iterator[tuple[Any, ...]]:
+    for number, each in enumerate(tubers):
+        if field is None:
+            yield from map(_tuber, each)
+            continue
+        for batch in in_batches(each):
+            for tuber, place in zip(batch, _places(field, number, batch), strict=True):
+                yield (*_tuber(tuber), *place)
 
 
 def loads_table(runs: Sequence[Path]) -> Table:

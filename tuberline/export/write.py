@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from pathlib import Path
 
@@ -40,13 +40,13 @@ def export(
     form: Format,
     what: str,
     field: FieldPlaces | None,
-    tubers: Sequence[Sequence[Tuber]] | None = None,
+    tubers: Sequence[Iterable[Tuber]] = (),
 ) -> int:
     """Write `out`, whole or not at all; returns the rows written.
 
     Args:
         what: 'tubers', 'loads' or 'cells'; ISOXML holds the map's seconds, a workbook tubers and loads.
-        field: where positions are known; for cells the map. tubers: those of each run, where they were read already.
+        field: where positions are known; for cells the map. tubers: those of each run, for rows that are tubers.
 
     Raises:
         InputError: the format needs places and none are known, or a package for it is not installed.
@@ -64,32 +64,29 @@ def export(
             return write_taskdata(field, path, about=about(runs))
     table = _table(runs, what, field, tubers)
     with whole_output(out) as path:
-        _write(table, runs, path, form)
-    return len(table.rows)
+        return _write(table, runs, path, form)
 
 
-def _table(
-    runs: Sequence[Path], what: str, field: FieldPlaces | None, tubers: Sequence[Sequence[Tuber]] | None
-) -> Table:
+def _table(runs: Sequence[Path], what: str, field: FieldPlaces | None, tubers: Sequence[Iterable[Tuber]]) -> Table:
     if what == "cells" and isinstance(field, FieldMap):
         return cells_table(runs, field)
     return loads_table(runs) if what == "loads" else tubers_table(runs, field, tubers)
 
 
-def _write(table: Table, runs: Sequence[Path], path: Path, form: Format) -> None:
+def _write(table: Table, runs: Sequence[Path], path: Path, form: Format) -> int:
+    """How many rows were written."""
     if form is Format.CSV:
         from tuberline.export.text_files import write_csv
 
-        write_csv(table, path)
-    elif form is Format.GEOJSON:
+        return write_csv(table, path)
+    if form is Format.GEOJSON:
         from tuberline.export.text_files import write_geojson
 
-        write_geojson(table, path)
-    elif form is Format.XLSX:
+        return write_geojson(table, path)
+    if form is Format.XLSX:
         from tuberline.export.binary_files import write_xlsx
 
-        write_xlsx([table] if table.name == "loads" else [table, loads_table(runs)], path)
-    else:
-        from tuberline.export.binary_files import write_parquet
+        return write_xlsx([table] if table.name == "loads" else [table, loads_table(runs)], path)
+    from tuberline.export.binary_files import write_parquet
 
-        write_parquet(table, path, geometry=form is Format.GEOPARQUET)
+    return write_parquet(table, path, geometry=form is Format.GEOPARQUET)
