@@ -67,6 +67,31 @@ def test_a_load_that_ended_with_its_run_says_so_below_what_was_said(capsys: pyte
     assert lines[at - 1].endswith("unknown: began"), lines
 
 
+def test_loads_are_told_in_pounds_where_a_person_asks_for_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """Their tickets, too, and what speaks against them; a note stays as its writer put it, as do names of loads."""
+    load = {**SAID, "number": 1, "name": "sacks of 25 kg", "open": False, "count": 1200, "coverage": 0.99}
+    load |= {"began_unix_s": 1.79e9, "ended_unix_s": 1.79e9 + 600, "net_g": 207.1e3}
+    load |= {"estimated_weight_g": 206.4e3, "estimated_low_g": 199e3, "estimated_high_g": 214e3}
+    load |= {"doubts": ["load 1 (sacks of 25 kg) says 207.100 kg, expected are 181.250 kg"], "said": []}
+    texts = ("net ticket 207.1 kg", "20 kg were lost", "net ticket withdrawn")
+    load["said"] = [{"unix_s": 1.79e9, "by": "me", "text": text} for text in texts]
+    print_load(load, unit="lb")
+    told = capsys.readouterr().out
+    parts = (
+        "lb, all belt",
+        "455.0",
+        "438.7 to 471.8",
+        "456.6",
+        "1: load 1 (sacks of 25 kg) says 456.6 lb, expected are 399.6",
+    )
+    for part in (*parts, "me: net ticket 456.6 lb", "me: 20 kg were lost", "withdrawn"):
+        assert part in " ".join(told.split()), told
+    print_load(load, unit="t")
+    told = capsys.readouterr().out
+    for part in ("t, all belt", "0.199 to 0.214", "0.2071", "says 0.2071 t"):
+        assert part in " ".join(told.split()), told
+
+
 @pytest.mark.parametrize(
     ("offset_s", "told"), [(0, "UTC"), (7200, "UTC+2"), (-12600, "UTC-3:30"), (20700, "UTC+5:45"), (-43200, "UTC-12")]
 )

@@ -246,7 +246,13 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
             maps.add_place("north", lat_deg=first[1] + n * 2e-5, lon_deg=first[0])
         drawn = "Number(document.querySelector('.map').dataset.cells || 0)"
         until(lambda: told() or js(browser, drawn) >= len(cells), what="the cells on the map")
-        assert f"mean {about['mean']:.1f}" in text(browser)
+        assert f"t/ha, mean {about['mean']:.1f}" in text(browser)
+        js(browser, IN_POUNDS)
+        mean = f"{about['mean'] * 1000 / 0.45359237 / 2.4710538:,.0f}".replace(",", " ")
+        of_acre = f"lb/acre, mean {mean}"
+        until(lambda: told() or of_acre in text(browser), what="the legend in the unit of the page")
+        assert "lb/acre" in js(browser, "document.querySelector('.map').getAttribute('aria-label')")
+        js(browser, "localStorage.clear()")
         maps.begin("north")
         until(lambda: told() or js(browser, "document.querySelector('.field').hidden"), what="the next run's field")
         for n in range(2):
@@ -258,6 +264,7 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
         until(lambda: told() or js(browser, drawn) == 0, what="no cells of the run before")
 
 
+IN_POUNDS = """Object.assign(document.getElementById('unit'), {value: 'lb'}).dispatchEvent(new Event('change'))"""
 BESIDE = """import("./map.js").then(({ inOnePiece }) => {
     const square = { geometry: { coordinates: [[[-179.9999, 1]]] } };
     const found = inOnePiece({ way: [[179.9999, 1], [-180, 1]], cells: { features: [square] } });

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -219,6 +219,7 @@ def show(
     ledger: Path | None = None,
     address: LineAddress = NO_ADDRESS,
     limit: Annotated[int, within(1, 100_000)] = 20,
+    unit: Literal["kg", "t", "lb"] = "kg",
     json: bool = False,
 ) -> None:
     """Print the loads of a running line, or of a ledger, the newest first; or one load with all that was said of it.
@@ -231,8 +232,10 @@ def show(
         Folder of a run, or its ledger.db; instead of a running line.
     limit
         How many, at most 50 of a running line.
+    unit
+        Of weights, tickets and what is said of them.
     json
-        For machines.
+        For machines; in grams.
     """
     from tuberline.cli.load_table import print_load, print_loads, told_loads
 
@@ -241,9 +244,9 @@ def show(
         sys.stdout.write(json_module.dumps(loads, indent=2) + "\n")
     elif load:
         for one in loads:
-            print_load(one)
+            print_load(one, unit=unit)
     else:
-        print_loads(loads)
+        print_loads(loads, unit=unit)
 
 
 def _since_typed_s() -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,10 @@ from conveyor.messages import HeightChange
 from conveyor.messages.loads import is_meant
 from conveyor.zone import local_clock
 from tuberline.cli.address import LineAddress
+from tuberline.cli.units import GRAMS, digits_of, in_unit, ticket_in
 
+TICKET = re.compile(r"(?:net|gross) ticket [\d.]+ kg")
+"""What the ledger says of a ticket in a load's history."""
 MOST_ASKED = 50
 """Of a running line."""
 OF_RUN = "its run"
@@ -71,13 +75,13 @@ def _found(ask: Callable[[str, int], list[dict[str, Any]]], wanted: str, limit: 
     raise InputError(f"no load {wanted!r} is there; {f'the newest are {known}' if known else 'none was started yet'}")
 
 
-def print_loads(loads: list[dict[str, Any]]) -> None:
-    """One line a load, below them what is to be said of their tickets."""
+def print_loads(loads: list[dict[str, Any]], *, unit: str = "kg") -> None:
+    """One line a load, below them what is to be said of their tickets; weights in `unit`, one of `units.GRAMS`."""
     console = Console()
     if not loads:
         console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
         return
-    table = Table("", "load", "began", "ended", "tubers", "kg, all belt\n(90 %)", "seen", "ticket", box=None)
+    table = Table("", "load", "began", "ended", "tubers", f"{unit}, all belt\n(90 %)", "seen", "ticket", box=None)
     for column in (table.columns[0], *table.columns[2:]):
         column.no_wrap = True
     table.columns[1].min_width = 11
@@ -89,21 +93,22 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
             "\n".join(local_clock(load["began_unix_s"], "%m-%d %H:%M")),
             _ended(load),
             str(load["count"]),
-            _weight(load),
+            _weight(load, unit),
             "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
-            "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
+            "" if load["net_g"] is None else ticket_in(load["net_g"], unit).removesuffix(f" {unit}"),
         )
     console.print(table)
+    names = [load["name"] for load in loads]
     for load in loads:
         for words in _of_tickets(load):
-            console.print(Text(f"{load['number']}: {words}"))
+            console.print(Text(f"{load['number']}: {in_unit(words, unit, names=names)}"))
 
 
-def _weight(load: dict[str, Any]) -> str:
+def _weight(load: dict[str, Any], unit: str) -> str:
     """No weight where no belt was seen, which is not one of 0 kg."""
     if not load["count"] and load["coverage"] is None:
         return "-"
-    return weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"])
+    return weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"], unit=unit)
 
 
 def _of_tickets(load: dict[str, Any]) -> list[str]:
@@ -112,22 +117,23 @@ def _of_tickets(load: dict[str, Any]) -> list[str]:
     return [*refused, *load.get("doubts", ())]  # a line of an earlier version tells no doubts
 
 
-def print_load(load: dict[str, Any]) -> None:
+def print_load(load: dict[str, Any], *, unit: str = "kg") -> None:
     """One load with all that was said of it."""
     console = Console()
-    print_loads([load])
+    print_loads([load], unit=unit)
     for said in load["said"]:
-        console.print(Text(f"{_clock(said['unix_s'])}  {said['by'] or 'unknown'}: {said['text']}"))
+        text = in_unit(said["text"], unit) if TICKET.fullmatch(said["text"]) else said["text"]  # not of a person's note
+        console.print(Text(f"{_clock(said['unix_s'])}  {said['by'] or 'unknown'}: {text}"))
     if _ended(load) == OF_RUN:
         console.print("ended with its run")
     for change in load.get("heights", ()):
         console.print(Text(heights_told(HeightChange(**change))))
 
 
-def weight_told(middle_g: float, low_g: float, high_g: float) -> str:
-    """Kilograms with four figures or so, the interval below; it is not the same to both sides."""
-    digits = 2 if middle_g < 1e5 else 1 if middle_g < 1e6 else 0
-    low, middle, high = (f"{grams / 1000:.{digits}f}" for grams in (low_g, middle_g, high_g))
+def weight_told(middle_g: float, low_g: float, high_g: float, *, unit: str = "kg") -> str:
+    """Kilograms, or another unit, with four figures or so, the interval below; it is not the same to both sides."""
+    digits = digits_of(middle_g, unit)
+    low, middle, high = (f"{grams / GRAMS[unit]:.{digits}f}" for grams in (low_g, middle_g, high_g))
     return f"{middle}\n{low} to {high}"
 
 

@@ -1,15 +1,15 @@
 // Orders of a person: start, end, undo, ticket, note. Each is confirmed in a dialog and sent once, however often it is tried.
-import { chosen, inKilograms, number, t, translate } from "./words.js";
+import { chosen, inKilograms, inUnit, number, t, translate } from "./words.js";
 
 const dialog = document.getElementById("order");
 const form = dialog.querySelector("form");
 const inputs = form.elements;
 const wrong = dialog.querySelector(".wrong");
 const TAKES_MS = 30000;
-let order = null; // what the open dialog is about: {line, action, done}, and its last try: {content, request, pressedAt, unsure}
+let order = null; // what the open dialog is about: {line, action, done, names}, and its last try: {content, request, pressedAt, unsure}
 
 export function ask(line, action, found, done) {
-  order = { line, action, done, content: null };
+  order = { line, action, done, content: null, names: (found.told ?? []).map(({ name }) => name) };
   form.reset();
   translate(dialog);
   dialog.querySelector("h2").textContent = t(`ask.${action}`);
@@ -85,13 +85,13 @@ async function send() {
   if (answer.done) {
     order = null;
     dialog.close();
-    mine.done(`${t(`done.${mine.action}`, { n: answer.load })} ${t("refused.line", { why: answer.text })}`);
+    mine.done(`${t(`done.${mine.action}`, { n: answer.load })} ${t("refused.line", { why: inUnit(answer.text, [...mine.names, answer.name]) })}`);
     return;
   }
   // Refused: the next try is another order. Unless one may be done: then only the line can say that it is not.
   if (answer.unsure || answer.status === 200) mine.unsure = Boolean(answer.unsure);
   if (!mine.unsure) mine.content = null;
-  say(answer.status === 401 ? t("refused.token") : answer.told ? answer.error : t("refused.line", { why: answer.error }));
+  say(answer.status === 401 ? t("refused.token") : answer.told ? answer.error : t("refused.line", { why: inUnit(answer.error, mine.names) }));
 }
 
 async function post(body, token) {

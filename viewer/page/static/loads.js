@@ -2,7 +2,7 @@
 import { ask } from "./act.js";
 import { LoadsChart } from "./charts.js";
 import { fill } from "./table.js";
-import { empty, load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
+import { empty, inUnit, load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
 
 const UNDO_WITHIN_S = 60;
 const SAID_MS = 60000;
@@ -33,7 +33,7 @@ export class Loads {
     this.below(now ? found.load : null);
     this.matter(now ?? found.load, found.contract);
     const heads = ["load", "begun", "weight", "sure", "tubers", "belt_seen", "scale", "field", "variety", "notes"];
-    fill(this.card.places.told, heads.map((key) => t(key)), told.map((each) => this.row(each)), t("loads.none"));
+    fill(this.card.places.told, heads.map((key) => t(key)), told.map((each) => this.row(each, told.map(({ name }) => name))), t("loads.none"));
     this.chart.show(told);
     this.buttons(found, now);
   }
@@ -70,10 +70,10 @@ export class Loads {
     ]), "");
   }
 
-  row(each) {
+  row(each, names) {
     const scale = loadUnit(each.weight_g);
     const scales = [each.net_g === null ? "" : scaled(each.net_g), each.gross_g === null ? "" : t("gross", { weight: scaled(each.gross_g) })].filter(Boolean).join(", ");
-    const against = [...each.refused, ...(each.doubts ?? [])].join("; ");
+    const against = inUnit([...each.refused, ...(each.doubts ?? [])].join("; "), names);
     return [
       [each.number, each.name && `· ${each.name}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
       each.low_g === null || empty(each) ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),

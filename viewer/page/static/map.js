@@ -1,5 +1,5 @@
 // The field as it fills: cells by their yield and the machine's way, drawn by maplibre-gl without any tiles.
-import { number, t } from "./words.js";
+import { number, t, yieldUnit } from "./words.js";
 
 const COLOURS = ["#ffffcc", "#c2e699", "#78c679", "#31a354", "#006837"];
 const EMPTY = { type: "FeatureCollection", features: [] };
@@ -61,13 +61,14 @@ export class FieldMap {
   tell() {
     if (!this.found) return;
     const { about, cells, way } = this.found;
-    const [low, high, mean] = [about.low, about.high, about.mean].map((figure) => number(figure, 1));
+    const { unit, per, digits } = yieldUnit();
+    const [low, high, mean] = [about.low, about.high, about.mean].map((figure) => number(figure === null || figure === undefined ? null : figure / per, digits));
     const known = cells.features.length > 0;
     this.section.querySelector(".colours").hidden = !known;
     const drawn = way.length < 2 ? "" : t(this.undrawn ? "map.no_webgl" : "map.way");
-    const told = known ? t(this.undrawn ? "map.no_webgl" : "map.legend", { low, high, mean }) : [drawn, reason(this.found)].filter(Boolean).join(" ");
+    const told = known ? t(this.undrawn ? "map.no_webgl" : "map.legend", { low, high, mean, unit }) : [drawn, reason(this.found)].filter(Boolean).join(" ");
     this.section.querySelector(".told").textContent = told;
-    this.place.setAttribute("aria-label", known && !this.undrawn ? t("map.said", { n: cells.features.length, mean }) : told);
+    this.place.setAttribute("aria-label", known && !this.undrawn ? t("map.said", { n: cells.features.length, mean, unit }) : told);
   }
 
   async begin(found) {

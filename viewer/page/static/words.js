@@ -96,6 +96,18 @@ export function scaled(grams) {
   return `${number(grams / GRAMS[unit], unit === "t" ? 4 : 1)} ${unit}`;
 }
 
+const SAID_KG = /(?<![\w.])(\d+(?:\.\d+)?(?:e[+-]?\d+)?) kg\b/.source;
+
+// What a line said, which says kilograms, in the unit that was chosen; `names` of loads stay as persons gave them.
+export function inUnit(said, names = []) {
+  if (unit === "kg" || !said) return said;
+  const kept = names.filter(Boolean).map((name) => name.replace(/[\\^$.*+?()[\]{}|]/g, "\\$&")).sort((a, b) => b.length - a.length);
+  return said.replace(new RegExp([...kept, SAID_KG].join("|"), "g"), (found, kg) => (kg === undefined ? found : scaled(1000 * Number(kg))));
+}
+
+// What a hectare gives; an acre where loads are told in pounds.
+export const yieldUnit = () => (unit === "lb" ? { unit: "lb/acre", per: (GRAMS.lb * 2.4710538) / 1e6, digits: 0 } : { unit: "t/ha", per: 1, digits: 1 });
+
 // One tuber, whose weight no one says in kilograms: grams, and ounces where loads are told in pounds.
 export const tuberUnit = () => (unit === "lb" ? { unit: "oz", per: GRAMS.lb / 16, digits: 1 } : { unit: "g", per: 1, digits: 0 });
 
