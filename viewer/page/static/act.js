@@ -65,15 +65,18 @@ export function figure(text) {
 
 async function send() {
   const { unit } = chosen();
-  if (order.action === "ticket" && Number.isNaN(figure(inputs.kg.value))) return say(t("ask.number", { unit, example: number(unit === "t" ? 8.123 : 8123.5, unit === "t" ? 3 : 1) }));
-  if (order.action === "note" && !inputs.note.value.trim()) return say(t("ask.empty"));
+  if (order.action === "ticket" && Number.isNaN(figure(inputs.kg.value))) return correct(inputs.kg, t("ask.number", { unit, example: number(unit === "t" ? 8.123 : 8123.5, unit === "t" ? 3 : 1) }));
+  if (order.action === "note" && !inputs.note.value.trim()) return correct(inputs.note, t("ask.empty"));
   const mine = order; // another dialog may be open when the answer comes
   const button = dialog.querySelector(".yes");
   button.disabled = true;
   say(t("ask.waiting"), "wait");
   const answer = await post(said(), inputs.token.value);
   button.disabled = false;
-  if (mine !== order) return;
+  if (mine !== order) { // its dialog was closed: it may be carried out all the same
+    if (answer.done) told(mine, answer);
+    return;
+  }
   if (answer.status === 401) {
     keep(sessionStorage, "token", "");
     inputs.token.parentElement.hidden = false;
@@ -85,13 +88,23 @@ async function send() {
   if (answer.done) {
     order = null;
     dialog.close();
-    mine.done(`${t(`done.${mine.action}`, { n: answer.load })} ${t("refused.line", { why: inUnit(answer.text, [...mine.names, answer.name]) })}`);
+    told(mine, answer);
     return;
   }
   // Refused: the next try is another order. Unless one may be done: then only the line can say that it is not.
   if (answer.unsure || answer.status === 200) mine.unsure = Boolean(answer.unsure);
   if (!mine.unsure) mine.content = null;
   say(answer.status === 401 ? t("refused.token") : answer.told ? answer.error : t("refused.line", { why: inUnit(answer.error, mine.names) }));
+}
+
+function told(mine, answer) {
+  mine.done(`${t(`done.${mine.action}`, { n: answer.load })} ${t("refused.line", { why: inUnit(answer.text, [...mine.names, answer.name]) })}`);
+}
+
+// What is to be typed otherwise, and where.
+function correct(input, text) {
+  input.focus();
+  say(text);
 }
 
 async function post(body, token) {
@@ -129,6 +142,7 @@ function say(text, kind = "trouble") {
   wrong.hidden = text === "";
   wrong.dataset.kind = kind;
   wrong.textContent = text;
+  if (text) wrong.scrollIntoView({ block: "nearest" });
 }
 
 function kept(store, name) {

@@ -90,7 +90,11 @@ export class Loads {
     this.card.put("only", t("only_looks", { why: found.looks_only ?? "" }));
     const told = (found.told ?? []).length > 0;
     const shown = { start: true, end: Boolean(now), undo: this.undoable(found), ticket: told, note: told };
-    for (const button of acts.querySelectorAll("[data-act]")) button.hidden = !shown[button.dataset.act];
+    for (const button of acts.querySelectorAll("[data-act]")) {
+      const focused = button === document.activeElement;
+      button.hidden = !shown[button.dataset.act];
+      if (focused && button.hidden) acts.querySelector("[data-act=start]").focus(); // who goes by keys stays here
+    }
   }
 
   // An order needs a line that hears it.
