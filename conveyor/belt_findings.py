@@ -23,10 +23,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     found = {}
     if gauges.get("belt_alarm"):
         fix = "belt_from_camera" if belt_leans(gauges) else "belt_distance_m or belt_from_camera"
-        found["belt_alarm"] = (
-            f"camera '{camera}': the belt {_where_seen(gauges)}: counts and weights are off. Measure the belt "
-            f"(`tuberline calibrate belt RECORDING`), then give its {fix}"
-        )
+        then = _WAIT if awaits_travel(gauges) else _MEASURE.format(fix=fix)
+        found["belt_alarm"] = f"camera '{camera}': the belt {_where_seen(gauges)}: counts and {then}"
     if gauges.get("belt_backwards"):
         found["belt_backwards"] = (
             f"camera '{camera}': the belt runs against the direction that the camera's pose or the encoder says, so "
@@ -104,6 +102,14 @@ def _where_seen(gauges: Mapping[str, float]) -> str:
     return f"{where}, and leans {leaning} against it" if belt_leans(gauges) else where
 
 
+def awaits_travel(gauges: Mapping[str, float]) -> bool:
+    """Whether the belt's travel is the camera's gauge and cannot say yet whether its depth has drifted: too few tubers
+    were seen from two sides.
+    """
+    by_travel = "scaled_by_travel" in gauges and not gauges.get("travel_not_told")
+    return by_travel and "farther_than_travel" not in gauges
+
+
 def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     """What the same tubers in several frames say of the camera."""
     found = {}
@@ -128,6 +134,12 @@ def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     return found
 
 
+_MEASURE = "weights are off. Measure the belt (`tuberline calibrate belt RECORDING`), then give its {fix}"
+_WAIT = (
+    "weights are off, or its depth has drifted. Its gauge, the belt's travel, tells that once some tubers have passed: "
+    "wait for it. Where it explains where the belt is seen that is said here; else measure the belt (`tuberline "
+    "calibrate belt RECORDING`)"
+)
 _SCALED = (
     ", which is its gauge: tubers are weighed at the size that agrees with it. Calibrate the camera's depth when the "
     "line next stops; if it is the encoder that is off, weights are wrong by three times as much"

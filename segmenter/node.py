@@ -49,6 +49,8 @@ IDLE_POLL_S = 0.02
 BUSY_POLL_S = 0.004
 COMMITTED_WAIT_S = 0.5
 RUNS_REMEMBERED = 64
+EXPLAINED = "belt_explained"
+"""Among what was told of the belt: that it was seen elsewhere because the camera's depth had drifted."""
 """Older runs that are committed and closed: a frame of them that comes late does not begin them again."""
 
 
@@ -271,10 +273,19 @@ class SegmenterNode:
             levels["camera_noise_px"] = core.noise_px
         for name, level in levels.items():
             self._node.counters.gauge(name, level)
-        for name, finding in belt_findings(self._camera, levels).items():
+        found = belt_findings(self._camera, levels)
+        for name, finding in found.items():
             if name not in self._belt_told:
                 self._belt_told.add(name)
                 self._node.log.warning(finding)
+        explained = "belt_alarm" in self._belt_told and "belt_alarm" not in found and levels.get("scaled_by_travel")
+        if explained and EXPLAINED not in self._belt_told:
+            self._belt_told.add(EXPLAINED)
+            self._node.log.info(
+                "camera '%s': the belt is where its calibration says; its depth has drifted, which the belt's travel "
+                "corrects",
+                self._camera,
+            )
 
     def _note_overwritten(self, camera_run: CameraRun) -> None:
         overwritten = self._node.counters.get("frame_dropped_overwritten")

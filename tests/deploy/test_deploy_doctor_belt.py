@@ -44,6 +44,31 @@ def test_the_mend_can_be_pasted() -> None:
     assert scale.fix == "the depth scale is wrong: correct cameras.left.depth_scale_m"
 
 
+def test_a_belt_that_a_drift_may_explain_is_left_as_it_is() -> None:
+    """With `gauge = "travel"` it was to be given the distance at which a drifted camera sees it."""
+    off = check_belt_seen("left", given_m=0.46, seen_m=[0.4512, 0.4512], frames=5, by_travel=True)
+    assert (off.level, off.text) == (Level.WARNING, "seen at 0.4512 m in 2 of 5 frames, given 0.4600 m: -8.8 mm")
+    assert "leave it as it is" in off.fix
+    assert "belt_distance_m" not in off.fix
+
+
+def test_what_the_gauge_travel_does_is_told_and_what_to_do() -> None:
+    """Below 2 % it was told nowhere; from there on the fix was that of a line without such a gauge."""
+    config = parse_config({"cameras": {"left": {}}}, where="test")
+
+    def found(**gauges: float) -> list[tuple[str, Level, str, str]]:
+        nodes = {"segmenter/left": Counters("segmenter", "left", "r", 1, "h", "1", 9.0, {}, gauges)}
+        return [(f.check, f.level, f.text, f.fix) for f in check_running_belts(config, nodes, alive=set(nodes))]
+
+    scaled = ("gauge of left", Level.OK, "tubers are weighed +1.4 % in size, as the belt's travel says", "")
+    assert found(scaled_by_travel=-0.014, farther_than_travel=0.0) == [scaled]
+    told, of_gauge = found(scaled_by_travel=-0.022, farther_than_travel=-0.024)
+    assert (told[:2], of_gauge[2]) == (("tubers of left", Level.WARNING), scaled[2].replace("1.4", "2.2"))
+    assert "calibrate the camera's depth" in told[3]
+    (waits,) = found(scaled_by_travel=0.0, belt_alarm=1.0, belt_drift_mm=-8.5)
+    assert waits[3].startswith("wait until some tubers have passed")
+
+
 def test_a_running_segmenter_is_believed() -> None:
     config = parse_config({"cameras": {"left": {}, "right": {}, "new": {}, "leaning": {}}}, where="test")
     nodes = {

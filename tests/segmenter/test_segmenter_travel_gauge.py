@@ -122,3 +122,14 @@ def test_a_device_needs_an_encoder_for_it() -> None:
     encoder = {"source": "simulated:?speed_mps=0.4", "metres_per_pulse": 0.0005}
     assert parse_config(line | {"encoder": encoder}, where="here").belt.known_gauge is None
     parse_config(line | {"cameras": {"front": {"path": "recording"}}}, where="here")
+
+
+def test_a_belt_that_a_drift_may_explain_is_waited_for() -> None:
+    """The log said to measure the belt, and seconds later that tubers are weighed at the size that agrees with it."""
+    off = {"belt_alarm": 1.0, "belt_drift_mm": -8.5, "belt_tilt_off_deg": 0.1}
+    gauge = {"scaled_by_travel": 0.0, "travel_not_told": 0.0}
+    assert "wait for it" in belt_findings("front", off | gauge)["belt_alarm"]
+    for more in ({}, gauge | {"farther_than_travel": 0.0}, gauge | {"travel_not_told": 1.0}):
+        text = belt_findings("front", off | more)["belt_alarm"]
+        assert "then give its belt_distance_m or belt_from_camera" in text
+        assert "wait" not in text

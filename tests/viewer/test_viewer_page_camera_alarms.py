@@ -6,6 +6,7 @@ import pytest
 
 from tests.viewer.page_states import good_state, node, segmenter, with_node
 from tests.viewer.test_viewer_page_alarms import texts
+from viewer.page.alarms import alarms
 
 
 @pytest.mark.parametrize(
@@ -46,6 +47,20 @@ def test_what_tubers_say_of_their_camera_is_a_warning(gauges: dict[str, float], 
     """Only the log, doctor and replay said so."""
     (text,) = texts(with_node(good_state(), "segmenter/left", segmenter("left", gauges=gauges)), "warning")
     assert said in text
+
+
+def test_a_belt_that_a_drift_may_explain_is_waited_for() -> None:
+    """The page said to measure the distance, and a minute later that weights are corrected."""
+    off = {"belt_alarm": 1.0, "belt_drift_mm": -8.5, "scaled_by_travel": 0.0}
+    told = {"farther_than_travel": 0.0}
+    for gauges, fix in ((off, "Wait until some tubers have passed"), (off | told, "measure the distance again")):
+        state = with_node(good_state(), "segmenter/left", segmenter("left", gauges=gauges))
+        (alarm,) = (alarm for alarm in alarms(state) if alarm.level == "trouble")
+        assert (alarm.text, fix in alarm.fix, "Wait" in alarm.fix) == (
+            "Under camera left the belt is 8 mm nearer than calibrated: weights are wrong.",
+            True,
+            gauges is off,
+        )
 
 
 def test_an_encoder_that_is_not_heard_or_not_believed() -> None:

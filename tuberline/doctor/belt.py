@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 
-from conveyor.belt_findings import OFF_MM, belt_findings, belt_leans, belt_off
+from conveyor.belt_findings import OFF_MM, awaits_travel, belt_findings, belt_leans, belt_off
 from conveyor.config import LineConfig
 from conveyor.messages import Counters
 from tuberline.doctor.finding import Finding, fault, ok, warning
@@ -29,18 +29,23 @@ SEEN_TWICE = {
     "travel_not_told": 'connect the encoder ([encoder]), or gauge = "none" in [belt]',
 }
 """Levels of what the same tubers in several frames say of a camera, or cannot say, and what to do."""
+SCALED = "calibrate the camera's depth when the line next stops; measure the encoder's metres a pulse with a tape"
+DRIFTED = "if its depth has drifted, the belt's travel tells so while the line runs and corrects it: leave it as it is"
 UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'
 MOVED = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
 WRONG_SCALE = 3.0
 """Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
 
 
-def check_belt_seen(camera: str, *, given_m: float | None, seen_m: Sequence[float], frames: int) -> Finding:
+def check_belt_seen(
+    camera: str, *, given_m: float | None, seen_m: Sequence[float], frames: int, by_travel: bool = False
+) -> Finding:
     """Compare the belt that a camera's frames show with the distance it is given.
 
     Args:
         given_m: camera to belt by the config or the recording, metres; None where neither says it.
-        seen_m: of the frames in which a belt was seen; `frames` were looked at.
+        seen_m: of the frames in which a belt was seen; `frames` were looked at. by_travel: its gauge is the belt's
+            travel, and a running line weighs tubers over a belt that its drifted depth puts elsewhere.
     """
     check = f"belt of {camera}"
     if len(seen_m) < min(LEAST_FRAMES, frames):
@@ -62,6 +67,8 @@ def check_belt_seen(camera: str, *, given_m: float | None, seen_m: Sequence[floa
         return fault(check, text, f"the depth scale is wrong: correct cameras.{camera}.depth_scale_m")
     if abs(off_mm) > FAR_OFF_MM:
         return fault(check, text, f"if the camera was moved: {again} and {setting}")
+    if abs(off_mm) > OFF_MM and by_travel:
+        return warning(check, text, f"{DRIFTED}; where that does not explain it, {again}")
     if abs(off_mm) > OFF_MM:
         return warning(check, text, f"{again}; if it stays so, {setting}")
     return ok(check, text)
@@ -85,6 +92,8 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
             if belt_leans(gauges) and not belt_off(gauges):
                 text = f"{name} sees it leaning {tilt_deg:.1f} deg against its calibration"
             fix = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
+            if awaits_travel(gauges):
+                fix = "wait until some tubers have passed: the belt's travel tells whether its depth has drifted"
             found.append(fault(f"belt of {camera}", text, fix))
         else:
             found.append(ok(f"belt of {camera}", text))
@@ -98,6 +107,10 @@ def _told(camera: str, gauges: Mapping[str, float]) -> Iterator[Finding]:
             make = fault if gauges.get("gauge_beyond") else warning
             yield make(f"gauge of {camera}", text, UNSEEN if key == "gauge_unseen" else MOVED)
         elif key in SEEN_TWICE:
-            yield warning(f"tubers of {camera}", text, SEEN_TWICE[key])
+            scaled = key == "farther_than_travel" and gauges.get("scaled_by_travel")
+            yield warning(f"tubers of {camera}", text, SCALED if scaled else SEEN_TWICE[key])
         elif key != "belt_alarm":
             yield fault(f"belt of {camera}", text, OTHER_WAY.get(key, "it says what to do"))
+    if scaled := gauges.get("scaled_by_travel"):
+        size = 100 * (1 / (1 + scaled) - 1)
+        yield ok(f"gauge of {camera}", f"tubers are weighed {size:+.1f} % in size, as the belt's travel says")

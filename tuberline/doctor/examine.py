@@ -179,7 +179,9 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
     seen_m = [fit.distance_m for fit in fits if fit is not None]
     return [
         ok(f"camera {name}", f"{first.depth.shape[1]}x{first.depth.shape[0]} from {source.description.origin}"),
-        check_belt_seen(name, given_m=given_m, seen_m=seen_m, frames=len(usable)),
+        check_belt_seen(
+            name, given_m=given_m, seen_m=seen_m, frames=len(usable), by_travel=config.belt.gauge == "travel"
+        ),
         check_depth(name, usable, trained_range(config)),
     ]
 

@@ -63,7 +63,9 @@ def _belt(segmenter: NodeState) -> Iterator[Found]:
         yield "belt", True, "alarm.camera.belt_leans", "todo.camera.belt_leans", {"deg": deg}
         return
     say = "alarm.camera.belt_further" if drift_mm > 0 else "alarm.camera.belt_nearer"
-    yield "belt", True, say, "todo.camera.belt", {"mm": round(abs(drift_mm))}
+    awaits = segmenter.level("scaled_by_travel") is not None and segmenter.level("farther_than_travel") is None
+    todo = "todo.camera.belt_awaits" if awaits and not segmenter.level("travel_not_told") else "todo.camera.belt"
+    yield "belt", True, say, todo, {"mm": round(abs(drift_mm))}
 
 
 def _belt_way(segmenter: NodeState) -> Iterator[Found]:

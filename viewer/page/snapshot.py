@@ -136,11 +136,20 @@ def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
         "per_s": segmenter.per_s.get("frames_processed") if segmenter is not None and segmenter.state == "ok" else None,
         "age_ms": segmenter.level("frame_age_ms") if segmenter is not None else None,
         "drift_mm": segmenter.level("belt_drift_mm") if segmenter is not None else None,
+        "scaled_percent": _scaled_percent(segmenter),
         "drops": _reasons(counts, "frames_dropped_"),
         "views_lost": _reasons(counts, "views_lost_"),
         "refused": dict(info.refused) if info is not None else {},
         "tubers": counts.get("tracks_counted", 0),
     }
+
+
+def _scaled_percent(segmenter: NodeState | None) -> float | None:
+    """By how much tubers are made larger (smaller, below 0) to agree with the belt's travel, percent of their length;
+    None where that is not the gauge, or says nothing yet.
+    """
+    farther = segmenter.level("scaled_by_travel") if segmenter is not None and segmenter.alive else None
+    return round(100 * (1 / (1 + farther) - 1), 2) if farther else None
 
 
 def _gaps(segmenter: NodeState | None, info: CameraInfo | None) -> int:

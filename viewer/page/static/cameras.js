@@ -21,7 +21,7 @@ export function cameraCards(place, line, cameras) {
 function blank() {
   const card = document.createElement("div");
   card.className = "camera";
-  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><canvas width='16' height='9'></canvas><p class='note'></p><p class='now'></p>";
+  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><canvas width='16' height='9'></canvas><p class='note'></p><p class='now'></p><p class='scaled' hidden></p>";
   return card;
 }
 
@@ -34,6 +34,9 @@ function draw(card, line, camera) {
   card.querySelector("canvas").hidden = card.querySelector(".note").hidden = over;
   if (!over) beltPicture(card.querySelector("canvas"), line, camera.name);
   if (!over) put(card.querySelector(".note"), pictureNote(`${line}/${camera.name}`));
+  const scaled = card.querySelector(".scaled");
+  scaled.hidden = over || (camera.scaled_percent ?? null) === null;
+  put(scaled, scaled.hidden ? "" : t("camera.scaled", { percent: camera.scaled_percent }));
   const values = { n: camera.tubers, rate: number(camera.per_s, 1) };
   put(card.querySelector(".now"), t(camera.state === "ok" && camera.per_s !== null ? "camera.now_rate" : "camera.now", values));
 }
