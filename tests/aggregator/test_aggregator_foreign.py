@@ -72,8 +72,8 @@ def test_sums_come_back_and_add_up() -> None:
 
 @pytest.mark.parametrize("log_odds", [-6.0, -0.4, None])
 def test_a_load_that_begins_with_clods_alone_is_told(log_odds: float | None) -> None:
-    """All of it is foreign, and no share of it more than all: one in twelve of these volumes came out at 100.00000000000001 %,
-    which no message takes, and the aggregator ended at every start.
+    """All of it is foreign, and no share of it more than all. For one in twelve of these volumes it was told as
+    100.00000000000001 %, which no message takes, and the aggregator ended at every start.
     """
     for n in range(400):
         sums = LoadSums(50.0)
