@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.figures_in_docs import put_table
 from benchmarks.matched_camera import Matcher
-from benchmarks.options import page_with, parser_of
+from benchmarks.options import page_with, parser_of, whole_number
 from benchmarks.otherworld import kept, row, table
 from benchmarks.otherworld_scenes import Scene
 from benchmarks.otherworld_table import MIX, d405, hd, small, vga
@@ -53,6 +53,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = parser_of("matched", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/matched"), help="recordings and results are kept here")
     parser.add_argument("--scenes", nargs="+", metavar="NAME", help="default: all")
+    parser.add_argument("--tubers", type=whole_number(1), help="of each recording; default: as planned")
     parser.add_argument(
         "--shift", type=int, default=0, help="added to the planned seeds: other recordings of each kind"
     )
@@ -61,7 +62,7 @@ def main(arguments: Sequence[str]) -> None:
     )
     given = parser.parse_args(arguments)
     rows = []
-    for scene in chosen(given.scenes, given.shift):
+    for scene in chosen(given.scenes, given.shift, given.tubers):
         rows.append(kept(given.out, scene, "line"))
         print(row(rows[-1]), flush=True)
     text = table(rows)
@@ -70,10 +71,14 @@ def main(arguments: Sequence[str]) -> None:
         put_table(page, "matched", text)
 
 
-def chosen(names: Sequence[str] | None, shift: int) -> list[Scene]:
-    """The scenes of the table, or those named, or others of their kind."""
+def chosen(names: Sequence[str] | None, shift: int, tubers: int | None = None) -> list[Scene]:
+    """The scenes of the table, or those named, or smaller or other ones of their kind."""
     known = {scene.name: scene for scene in SCENES}
     for name in names or ():
         if name not in known:
             raise InputError(f"scene '{name}' is unknown; known: {', '.join(known)}")
-    return [replace(scene, seed=scene.seed + shift) for name, scene in known.items() if not names or name in names]
+    return [
+        replace(scene, seed=scene.seed + shift, tubers=tubers or scene.tubers)
+        for name, scene in known.items()
+        if not names or name in names
+    ]

@@ -36,6 +36,7 @@ SMALL = {
     "line": "--seconds 5 --warm-up-s 5 --tubers-per-s 2 --tubers 8 --cameras 1",
     "line_virtual": "--seconds 5",
     "load_intervals": "--recordings 1 --tubers 6",
+    "matched": "--scenes small-image --tubers 3",
     "otherworld": "--scenes exact-singulated --tubers 6",
     "perception": "--scenes singulated --tubers 6 --every 30",
     "regressor": "--batches 1 --rounds 1",
