@@ -15,10 +15,9 @@ from pathlib import Path
 from benchmarks.figures_in_docs import put_table
 from benchmarks.matched_camera import Matcher
 from benchmarks.options import page_with, parser_of, whole_number
-from benchmarks.otherworld import kept, row, table
+from benchmarks.otherworld import chosen, kept, row, table
 from benchmarks.otherworld_scenes import Scene
 from benchmarks.otherworld_table import MIX, d405, hd, small, vga
-from conveyor.errors import InputError
 
 SHORT, SMALL_WINDOW, LARGE_WINDOW = Matcher(), Matcher(window_px=9), Matcher(window_px=25)
 WIDE = Matcher(baseline_m=0.05)
@@ -62,23 +61,10 @@ def main(arguments: Sequence[str]) -> None:
     )
     given = parser.parse_args(arguments)
     rows = []
-    for scene in chosen(given.scenes, given.shift, given.tubers):
+    for scene in chosen(SCENES, given.scenes, given.tubers, given.shift):
         rows.append(kept(given.out, scene, "line"))
         print(row(rows[-1]), flush=True)
     text = table(rows)
     print(text)
     for page in given.docs:
         put_table(page, "matched", text)
-
-
-def chosen(names: Sequence[str] | None, shift: int, tubers: int | None = None) -> list[Scene]:
-    """The scenes of the table, or those named, or smaller or other ones of their kind."""
-    known = {scene.name: scene for scene in SCENES}
-    for name in names or ():
-        if name not in known:
-            raise InputError(f"scene '{name}' is unknown; known: {', '.join(known)}")
-    return [
-        replace(scene, seed=scene.seed + shift, tubers=tubers or scene.tubers)
-        for name, scene in known.items()
-        if not names or name in names
-    ]

@@ -12,7 +12,7 @@ import cv2
 import numba
 import numpy as np
 
-from benchmarks.otherworld_camera import Bodies, Camera, Sensor, View, draw
+from benchmarks.otherworld_camera import Bodies, Camera, Sensor, View, bare_m, draw_bodies
 
 FINER = 2
 """Pixels are means of so many by so many rays; matching is done on rows and columns so much finer."""
@@ -88,12 +88,8 @@ class MatchedView(View):
         pose[:3, 3] += pose[:3, 0] * aside_m
         focal = FINER * camera.focal_px
         cx, cy = (FINER * centre + (FINER - 1) / 2 for centre in camera.centre_px)
-        depth_m = bare_depth(FINER * camera.height, FINER * camera.width, pose, focal, cx, cy)
-        label = np.zeros(depth_m.shape, np.uint16)
-        for number, (points, triangles) in enumerate(bodies, 1):
-            seen = (points - pose[:3, 3]) @ pose[:3, :3]
-            if seen[:, 2].min() > 0.02:
-                draw(depth_m, label, seen, triangles, number, focal, cx, cy)
+        depth_m = bare_m(FINER * camera.height, FINER * camera.width, pose, focal, cx, cy)
+        label = draw_bodies(depth_m, bodies, pose, focal, cx, cy)
         light = lit(depth_m, label, pose, focal, cx, cy, travel_m, self._grain, matcher.contrast)
         image = cv2.resize(light, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         noise = self.rng.normal(size=image.shape) * matcher.noise
@@ -125,17 +121,6 @@ class MatchedView(View):
         parts = found.reshape(rows, FINER, columns, FINER).swapaxes(1, 2).reshape(rows, columns, FINER * FINER)
         seen = (parts >= self._least).all(2) & (np.ptp(parts, axis=2) < 2)
         return np.where(seen, parts.mean(2) / FINER, 0)
-
-
-@numba.njit(cache=True)
-def bare_depth(height, width, pose, focal, cx, cy):  # type: ignore[no-untyped-def]
-    """Depth (height, width) of the bare belt along the axis of a camera at `pose` (4x4, belt from camera)."""
-    depth_m = np.empty((height, width))
-    for v in range(height):
-        for u in range(width):
-            slope = pose[2, 0] * (u - cx) / focal + pose[2, 1] * (v - cy) / focal + pose[2, 2]
-            depth_m[v, u] = -pose[2, 3] / slope
-    return depth_m
 
 
 @numba.njit(cache=True)

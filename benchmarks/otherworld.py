@@ -54,7 +54,7 @@ def main(arguments: Sequence[str]) -> None:
     )
     given = parser.parse_args(arguments)
     rows = []
-    for scene in chosen(given.scenes, given.tubers, given.shift):
+    for scene in chosen(SCENES, given.scenes, given.tubers, given.shift):
         how = "fast" if given.fast else "graph" if given.graph else "line"
         rows.append(kept(given.out, scene, how))
         print(row(rows[-1]), flush=True)
@@ -68,9 +68,9 @@ def main(arguments: Sequence[str]) -> None:
             put_table(page, "otherworld_views", singles)
 
 
-def chosen(names: Sequence[str] | None, tubers: int | None, shift: int) -> list[Scene]:
-    """The scenes of the table, or those named, or smaller or other ones of their kind."""
-    known = {scene.name: scene for scene in SCENES}
+def chosen(scenes: Sequence[Scene], names: Sequence[str] | None, tubers: int | None, shift: int) -> list[Scene]:
+    """All of a table's scenes, or those named, or smaller or other ones of their kind."""
+    known = {scene.name: scene for scene in scenes}
     for name in names or ():
         if name not in known:
             raise InputError(f"scene '{name}' is unknown; known: {', '.join(known)}")

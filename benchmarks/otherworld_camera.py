@@ -63,11 +63,15 @@ class Camera:
 
     def belt_depth_m(self) -> np.ndarray:
         """Depth (H, W) of the bare belt."""
-        cx, cy = self.centre_px
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        up = self.belt_from_camera[2, :3]
-        slope = up[0] * (u - cx) / self.focal_px + up[1] * (v - cy) / self.focal_px + up[2]
-        return np.asarray(-self.height_m / slope)
+        return bare_m(self.height, self.width, self.belt_from_camera, self.focal_px, *self.centre_px)
+
+
+def bare_m(height: int, width: int, pose: np.ndarray, focal: float, cx: float, cy: float) -> np.ndarray:
+    """Depth (height, width) of the bare belt along the axis of a camera at `pose` (4x4, belt from camera)."""
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    up = pose[2, :3]
+    slope = up[0] * (u - cx) / focal + up[1] * (v - cy) / focal + up[2]
+    return np.asarray(-pose[2, 3] / slope)
 
 
 @numba.njit(cache=True)
@@ -97,6 +101,18 @@ def draw(depth_m, label, points, triangles, number, focal, cx, cy):  # type: ign
                 if z < depth_m[row, column]:
                     depth_m[row, column] = z
                     label[row, column] = number
+
+
+def draw_bodies(
+    depth_m: np.ndarray, bodies: Bodies, pose: np.ndarray, focal: float, cx: float, cy: float
+) -> np.ndarray:
+    """Draw bodies into `depth_m` as a camera at `pose` (4x4, belt from camera) sees them; labels, numbered from 1."""
+    label = np.zeros(depth_m.shape, np.uint16)
+    for number, (points, triangles) in enumerate(bodies, 1):
+        seen = np.asarray((points - pose[:3, 3]) @ pose[:3, :3])
+        if seen[:, 2].min() > 0.02:
+            draw(depth_m, label, seen, triangles, number, focal, cx, cy)
+    return label
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +167,8 @@ class View:
 
     def exact(self, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
         """Depth m (H, W) and label uint16 of meshes in belt coordinates, numbered from 1."""
-        depth_m, label = self._belt_m.copy(), np.zeros(self._belt_m.shape, np.uint16)
-        cx, cy = self.camera.centre_px
-        for number, (points, triangles) in enumerate(bodies, 1):
-            seen = self.camera.in_camera(points)
-            if seen[:, 2].min() > 0.02:
-                draw(depth_m, label, seen, triangles, number, self.camera.focal_px, cx, cy)
+        camera, depth_m = self.camera, self._belt_m.copy()
+        label = draw_bodies(depth_m, bodies, camera.belt_from_camera, camera.focal_px, *camera.centre_px)
         return depth_m, label
 
     def measured(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.matched import SCENES, chosen
+from benchmarks.matched import SCENES
 from benchmarks.matched_camera import MatchedView, Matcher
+from benchmarks.otherworld import chosen
 from benchmarks.otherworld_camera import Camera
 from benchmarks.otherworld_shapes import Body, tuber
 from conveyor.errors import InputError
@@ -73,6 +74,6 @@ def test_the_same_seed_gives_the_same_frame(body: Body) -> None:
 
 
 def test_an_unknown_recording_is_named() -> None:
-    assert [scene.seed - 500 for scene in chosen(None, 500)] == [scene.seed for scene in SCENES]
+    assert [scene.seed - 500 for scene in chosen(SCENES, None, None, 500)] == [scene.seed for scene in SCENES]
     with pytest.raises(InputError, match="scene 'flat' is unknown; known: smooth, mixed"):
-        chosen(["flat"], 0)
+        chosen(SCENES, ["flat"], None, 0)

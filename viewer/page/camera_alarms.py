@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from conveyor.belt_findings import belt_leans, belt_off
+from conveyor.belt_findings import awaits_travel, belt_leans, belt_off
 from conveyor.reasons import ViewLoss
 from viewer.page.state import LineState, NodeState
 from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, Value, plain
 
 Found = tuple[str, bool, str, str, dict[str, Value]]
 """The words are keys of the table of words; the camera's name is a value of each."""
+TELL_OF_BELT = ("belt_drift_mm", "belt_tilt_off_deg", "scaled_by_travel", "farther_than_travel", "travel_not_told")
+"""Levels of a segmenter that say what is wrong with its belt."""
 SILENT_S = 5.0
 """A camera that waits for its segmenter may rest for so long."""
 DEAD_S = 1.8
@@ -57,14 +59,13 @@ def _belt(segmenter: NodeState) -> Iterator[Found]:
     drift_mm = segmenter.level("belt_drift_mm")
     if drift_mm is None or not segmenter.level("belt_alarm"):
         return
-    levels = {name: segmenter.level(name) or 0.0 for name in ("belt_drift_mm", "belt_tilt_off_deg")}
+    levels = {name: level for name in TELL_OF_BELT if (level := segmenter.level(name)) is not None}
     if belt_leans(levels) and not belt_off(levels):
         deg = levels["belt_tilt_off_deg"]
         yield "belt", True, "alarm.camera.belt_leans", "todo.camera.belt_leans", {"deg": deg}
         return
     say = "alarm.camera.belt_further" if drift_mm > 0 else "alarm.camera.belt_nearer"
-    awaits = segmenter.level("scaled_by_travel") is not None and segmenter.level("farther_than_travel") is None
-    todo = "todo.camera.belt_awaits" if awaits and not segmenter.level("travel_not_told") else "todo.camera.belt"
+    todo = "todo.camera.belt_awaits" if awaits_travel(levels) else "todo.camera.belt"
     yield "belt", True, say, todo, {"mm": round(abs(drift_mm))}
 
 
