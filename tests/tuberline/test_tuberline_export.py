@@ -276,8 +276,7 @@ def test_time_logs_of_other_terminals_are_read(shared: Path) -> None:
 
 def test_the_map_in_a_days_report_is_of_that_day(run: Path, tmp_path: Path) -> None:
     """It was of all that the runs hold: of a season's ledger all fields, or none, for they lie too far apart."""
-    folder = tmp_path / "season"
-    shutil.copytree(run, folder)
+    folder = shutil.copytree(run, tmp_path / "season")
     (day,), later_ns = simulate_field(WORLD, seed=SEED).machines, 86_400_000_000_000
     write_run(folder, run="tuesday", crossed_ns=day.crossed_ns + later_ns, weight_g=day.weight_g)
     with counted_on([folder], "2026-09-21") as first, counted_on([folder], "2026-09-22") as second:
