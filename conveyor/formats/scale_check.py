@@ -69,8 +69,10 @@ class ScaleCheck:
 
     def refusal(self, frame: Frame) -> Refused | None:
         """Why a frame is not to be used; None where it may be."""
+        if self._fitted >= ENOUGH_FIT:
+            return None
         expected, seen = expected_distance_m(frame), median_depth_m(frame)
-        if self._fitted >= ENOUGH_FIT or expected is None or seen is None:
+        if expected is None or seen is None:
             return None
         fault = scale_fault(seen, expected, frame.depth_scale_m)
         if fault is None or _shows_belt(frame, expected):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from conveyor.errors import InputError
-from conveyor.formats import Refused, open_source
-from conveyor.formats.scale_check import ScaleCheck
+from conveyor.formats import Refused, open_source, scale_check
+from conveyor.formats.scale_check import ENOUGH_FIT, ScaleCheck, median_depth_m
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 
@@ -46,6 +46,20 @@ def test_a_view_that_is_blocked_at_the_start_is_no_wrong_scale(
     block(small_recording, range(10))
     with pytest.raises(InputError, match=r"frame 0: the median depth is 65\.5\d? m .*something is before the camera"):
         list(source.frames(run="x"))
+
+
+def test_once_frames_have_fitted_no_more_pictures_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The median of each picture was a quarter of a playing camera's processor time, and nobody asked for it."""
+    check, looks = ScaleCheck("web"), 0
+
+    def looked_at(frame: Frame) -> float | None:
+        nonlocal looks
+        looks += 1
+        return median_depth_m(frame)
+
+    monkeypatch.setattr(scale_check, "median_depth_m", looked_at)
+    assert [check.refusal(web(100)) for _ in range(9)] == [None] * 9
+    assert looks == ENOUGH_FIT
 
 
 def block(recording: Path, seqs: Iterable[int]) -> None:
