@@ -35,6 +35,8 @@ BORDERS = ("top", "bottom", "left", "right")
 BOX = ("first_row", "last_row", "first_column", "last_column")
 STEPS, STEP_MM = 128, 2.0
 """Of the histogram of heights."""
+PER_STEP, LAST_STEP = np.float32(1 / STEP_MM), np.float32(STEPS - 1)
+"""A power of two: a step that is multiplied for is the one that is divided for."""
 
 
 def instance_sums(
@@ -52,7 +54,7 @@ def instance_sums(
     Args:
         labels: (h, w) int32, 1..n, 0 = none.
         n: highest label.
-        height_mm: (h, w) float32 height over the belt.
+        height_mm: (h, w) float32 height over the belt, not negative.
         coefficients_mm: (a, b, c, t) of `BeltGeometry.height_coefficients`, millimetres per metre and millimetres.
         stride: full-resolution pixels per cell.
         area_factor: stride**2 / (fx fy) * 1e6.
@@ -86,7 +88,10 @@ def _add_cells(
     rows, columns = labels.shape
     half = (stride - 1) / 2.0
     marks, room = row_of_marks(columns)
-    areas_mm2 = np.empty(columns)
+    # What the slope of the heights has of a cell's column; room for the areas of a run of cells.
+    of_column, room_mm2 = np.empty(columns), np.empty(columns)
+    for j in range(columns):
+        of_column[j] = a * (j * stride + half)
     for i in range(rows):
         own, high = labels[i], height_mm[i]
         _mark_ends(own, marks)
@@ -96,19 +101,16 @@ def _add_cells(
         for last in marked(marks, room):
             k = own[last]
             if k > 0:
-                s = sums[k]
-                for j in range(first, last + 1):  # without a branch, so that the compiler takes several cells at once
-                    # Depth at which the cell's ray has this height, and the belt area that the cell covers there.
-                    slope = a * (j * stride + half) + down + c
-                    z = (high[j] - t) / slope
-                    areas_mm2[j] = area_factor * z * z / abs(slope * 1e-3)
+                s, counts = sums[k], histogram[k]
+                run_mm, areas_mm2 = high[first : last + 1], room_mm2[first : last + 1]
+                _areas(run_mm, of_column[first : last + 1], down, c, t, area_factor, areas_mm2)
                 area_mm2, volume_mm3, peak_mm = s.area_mm2, s.volume_mm3, s.peak_mm
-                for j in range(first, last + 1):
-                    h = high[j]
+                for j in range(len(run_mm)):
+                    h = run_mm[j]
                     area_mm2 += areas_mm2[j]
                     volume_mm3 += areas_mm2[j] * h
                     peak_mm = max(peak_mm, h)
-                    histogram[k, min(STEPS - 1, int(h / STEP_MM))] += 1
+                    counts[np.uint32(min(h * PER_STEP, LAST_STEP))] += 1
                 s.area_mm2, s.volume_mm3, s.peak_mm = area_mm2, volume_mm3, peak_mm
                 cells = last + 1 - first
                 s.cells += cells
@@ -135,6 +137,26 @@ def _add_cells(
                 or (before != k and before > 0)
                 or (after != k and after > 0)
             )
+
+
+@kernel(error_model="numpy")
+def _areas(
+    high_mm: NDArray[np.float32],
+    of_column: NDArray[np.float64],
+    down: float,
+    c: float,
+    t: float,
+    area_factor: float,
+    areas_mm2: NDArray[np.float64],
+) -> None:
+    """Write the belt areas that the cells of a run cover, at the depths at which their rays have these heights.
+
+    Over slices and without a branch, so that the compiler takes several cells at once.
+    """
+    for j in range(len(high_mm)):
+        slope = of_column[j] + down + c
+        z = (high_mm[j] - t) / slope
+        areas_mm2[j] = area_factor * z * z / abs(slope * 1e-3)
 
 
 @kernel()

@@ -168,16 +168,21 @@ def _load(
     least_m: float,
 ) -> tuple[NDArray[np.uint16], bool]:
     """The crop's pixels inside the mask that stand over the belt, 0 elsewhere; whether there are any."""
-    depth = np.zeros_like(crop)
-    measured = False
-    for v in range(crop.shape[0]):
-        for u in range(crop.shape[1]):
-            if inside[v // stride, u // stride]:
-                height_m = crop[v, u] * scale_m * (a * (u0 + u) + b * (v0 + v) + c) + t
-                if height_m > least_m:
-                    depth[v, u] = crop[v, u]
-                    measured |= crop[v, u] > 0
-    return depth, measured
+    rows, columns = crop.shape
+    depth = np.empty_like(crop)
+    wanted = np.empty(columns, np.bool_)
+    measured = np.uint16(0)
+    for v in range(rows):
+        if v % stride == 0:
+            cells = inside[v // stride]
+            for u in range(columns):
+                wanted[u] = cells[u // stride] if stride > 1 else cells[u]  # whole numbers divide slowly
+        own, load = crop[v], depth[v]
+        for u in range(columns):  # without a branch, so that the compiler takes several pixels at once
+            height_m = own[u] * scale_m * (a * (u0 + u) + b * (v0 + v) + c) + t
+            load[u] = own[u] if wanted[u] & (height_m > least_m) else np.uint16(0)
+            measured |= load[u]
+    return depth, bool(measured)
 
 
 def size_m(candidate: Candidate, belt: BeltGeometry) -> tuple[float, float]:
