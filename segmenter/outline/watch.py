@@ -14,7 +14,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.outline.body import Body, body_of
 from segmenter.outline.compare import Comparison, compare
-from segmenter.track.track import State, TrackState
+from segmenter.track.track import State, TrackState, middle
 from segmenter.track.tracker import Tracker
 from segmenter.track.views import cut_out
 
@@ -230,7 +230,11 @@ def _reading(tubers: list[list[Comparison]]) -> OutlineReading:
 
 def _lost_px(said: list[Comparison], farther: float) -> float:
     """The median of a tuber's directions, were its distances so much too large."""
-    return median(lost_px + farther * _stretch_px(one) for one in said for lost_px in one.lost_px)
+    values: list[float] = []
+    for one in said:
+        stretched_px = farther * _stretch_px(one)
+        values += [lost_px + stretched_px for lost_px in one.lost_px]
+    return middle(values)
 
 
 def _stretch_px(one: Comparison) -> float:
@@ -242,6 +246,6 @@ def _middle(values: list[float]) -> tuple[float, float]:
     """The median and its standard error, by the median deviation; of none (0, 1)."""
     if not values:
         return 0.0, 1.0
-    middle = median(values)
-    spread = 1.4826 * median(abs(value - middle) for value in values)
-    return middle, float(1.2533 * spread / len(values) ** 0.5)
+    centre = median(values)
+    spread = 1.4826 * median(abs(value - centre) for value in values)
+    return centre, float(1.2533 * spread / len(values) ** 0.5)

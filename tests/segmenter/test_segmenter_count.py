@@ -162,7 +162,10 @@ def test_a_frozen_camera_is_noticed_by_the_encoder() -> None:
     frozen = scene.frame(0, 0.0)
     stuck = core.step(replace(frozen, seq=1, travel_m=0.0133))
     assert stuck.dropped is FrameDrop.FROZEN
-    assert core.step(Scene([]).frame(2, 0.02)).dropped is None
+    other = frozen.depth.copy()
+    other[-1, -1] += 1
+    assert core.step(replace(frozen, seq=2, travel_m=0.0133, depth=other)).dropped is None
+    assert core.step(Scene([]).frame(3, 0.02)).dropped is None
 
 
 def test_a_merged_pair_counts_as_two_and_a_late_fragment_as_none() -> None:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from segmenter.frame import heights, plane_kernels, rims
 from segmenter.frame.edges import cut_by_unseen
 from segmenter.frame.flood import regrow
+from segmenter.outline.compare import Comparison
+from segmenter.outline.watch import _lost_px
 from segmenter.track import history
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import middle
@@ -200,6 +202,16 @@ def test_a_median_is_that_of_the_library() -> None:
     for n in range(1, 17):
         values = [random.Random(n * 31 + k).uniform(0, 1) for k in range(n)]
         assert middle(list(values)) == statistics.median(values)
+
+
+def test_what_outlines_lose_is_the_median_of_all_directions(rng: np.random.Generator) -> None:
+    said = [
+        Comparison(tuple(rng.normal(0, 2, n).tolist()), float(rng.normal(0, 0.1)), float(rng.uniform(800, 1200)), None)
+        for n in (3, 0, 5, 4)
+    ]
+    for farther in (0.0, 0.013):
+        plain = [px + farther * (abs(one.apart_m) * one.px_per_m) for one in said for px in one.lost_px]
+        assert _lost_px(said, farther) == statistics.median(plain)
 
 
 @pytest.mark.parametrize("seed", range(4))
