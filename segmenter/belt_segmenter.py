@@ -234,7 +234,9 @@ class BeltSegmenter:
     def correction(self) -> CameraCorrection:
         """What is taken off the views that are sent now."""
         by_travel = self._settings.scale_by_travel and self.follower.told
-        return correction_of(self.outlines.reading, focal_px=self.belt.intrinsics.fx, by_travel=by_travel)
+        return correction_of(
+            self.outlines.reading, self.outlines.flanks.reading, focal_px=self.belt.intrinsics.fx, by_travel=by_travel
+        )
 
     def _moment(self, frame: Frame) -> Moment:
         correction = self.correction

@@ -17,6 +17,7 @@ from segmenter.frame.gate import FrameGate
 from segmenter.frame.instances import Instances
 from segmenter.frame.plane import BeltCheck
 from segmenter.gauge.keeper import GaugeKeeper
+from segmenter.outline.flanks import FlankReading
 from segmenter.outline.watch import OutlineReading
 from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, StepResult
@@ -134,11 +135,17 @@ class Segmenter:
         """How far the camera's outlines are off; None before enough tubers were seen twice."""
         return self._running.outlines.reading if self._running else None
 
+    @property
+    def flanks(self) -> FlankReading | None:
+        """How far the camera raises flanks near outlines; None before enough tubers were seen twice."""
+        return self._running.outlines.flanks.reading if self._running else None
+
     def gauges(self) -> dict[str, float]:
         """Levels of what encoder, load and given masks say, as `conveyor.belt_findings` takes them."""
         return {
             **(self._travel_gauge(self._running) if self._by_travel and self._running else {}),
             **(self.outlines.gauges() if self.outlines else {}),
+            **(self.flanks.gauges() if self.flanks else {}),
             "encoder_behind_m": self.encoder_behind_m,
             "load_torn_m": self.torn_m,
             "masks_merged": self.merged_masks,

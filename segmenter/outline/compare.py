@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from conveyor.kernels import kernel
 from segmenter.outline.body import Body
+from segmenter.outline.flanks import risen_m
 
 DIRECTIONS = 48
 """Around a tuber: 4 mm of the outline of one of 60 mm."""
@@ -49,12 +50,14 @@ class Comparison:
         apart_m: belt travel from the second frame to the first.
         px_per_m: pixels of the second frame per metre, at the body.
         slip_m: how much farther along the belt the surfaces lie apart than the travel says; None: they tell nothing.
+        risen_m: by how much the second frame raises flanks, by pixel inside its outline; None: as `slip_m`.
     """
 
     lost_px: tuple[float, ...]
     apart_m: float
     px_per_m: float
     slip_m: float | None
+    risen_m: NDArray[np.float64] | None = None
 
 
 def compare(first: Body, second: Body, *, farther: float = 0.0) -> Comparison | None:
@@ -76,11 +79,13 @@ def compare(first: Body, second: Body, *, farther: float = 0.0) -> Comparison | 
     moved_m = _laid_on(
         first.soft_m, first.rim_px, first.camera, turn, shift_m, second.soft_m, second.rim_px, second.camera, start_m
     )
+    lies = not np.isnan(moved_m[0])
     return Comparison(
         lost_px=tuple(lost_px.tolist()),
         apart_m=apart_m,
         px_per_m=float(second.camera[0]) / depth_m,
-        slip_m=None if np.isnan(moved_m[0]) else float(second.belt_from_camera[0, :3] @ moved_m),
+        slip_m=float(second.belt_from_camera[0, :3] @ moved_m) if lies else None,
+        risen_m=risen_m(first, second, turn, shift_m + moved_m) if lies else None,
     )
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from conveyor.camera_flags import OUTLINE_GROWN, OUTLINE_LOST, SCALED_BY_TRAVEL
+from conveyor.camera_flags import FLANKS_RAISED, OUTLINE_GROWN, OUTLINE_LOST, SCALED_BY_TRAVEL
 from conveyor.geometry import belt_distance_m
 from conveyor.messages import View
 from segmenter.gauge.drift import without_drift
+from segmenter.outline.flanks import FlankReading, without_rise
 from segmenter.outline.growth import without_growth
 from segmenter.outline.watch import OutlineReading
 
@@ -25,18 +26,20 @@ class CameraCorrection:
         grown_px: by how much it lets outlines grow. lost_mm: what it takes off them beyond what weights know.
         farther: by how much farther away than they are it puts tubers, as a share of their distance.
         at_m: how far away it sees tubers, along its optical axis.
+        raised_m: by how much it raises flanks, by pixel inside the outline.
     """
 
     grown_px: float = 0.0
     lost_mm: float = 0.0
     farther: float = 0.0
     at_m: float = 1.0
+    raised_m: tuple[float, ...] = ()
 
     @property
     def flags(self) -> tuple[str, ...]:
         """Of the tubers that are corrected."""
         outline = (OUTLINE_GROWN,) if self.grown_px else (OUTLINE_LOST,) if self.lost_mm else ()
-        return (*outline, *((SCALED_BY_TRAVEL,) if self.farther else ()))
+        return (*outline, *((FLANKS_RAISED,) if self.raised_m else ()), *((SCALED_BY_TRAVEL,) if self.farther else ()))
 
     @property
     def drift_per_m(self) -> float:
@@ -58,7 +61,8 @@ class CameraCorrection:
 
     def corrected(self, view: View) -> View:
         """The view without what its outline grew by, its depth and the belt under it where they are."""
-        view = replace(view, depth=without_growth(view.depth, self.grown_px), outline_lost_mm=self.lost_mm)
+        depth = without_rise(view.depth, self.raised_m, depth_scale_m=view.depth_scale_m)
+        view = replace(view, depth=without_growth(depth, self.grown_px), outline_lost_mm=self.lost_mm)
         if not self.farther:
             return view
         seen_m = belt_distance_m(view.belt_from_camera)
@@ -71,18 +75,21 @@ class CameraCorrection:
 NOTHING_OFF = CameraCorrection()
 
 
-def correction_of(reading: OutlineReading | None, *, focal_px: float, by_travel: bool) -> CameraCorrection:
+def correction_of(
+    reading: OutlineReading | None, flanks: FlankReading | None = None, *, focal_px: float, by_travel: bool
+) -> CameraCorrection:
     """What to correct, of what is known so far.
 
     Args:
         focal_px: of the camera's columns.
         by_travel: travel is told by an encoder that is known to be right, so distances that contradict it are wrong.
     """
+    raised_m = flanks.raised_m if flanks is not None else ()
     if reading is None:
-        return NOTHING_OFF
+        return replace(NOTHING_OFF, raised_m=raised_m)
     farther = scale_error(reading) if by_travel else 0.0
     at_m = focal_px * reading.mm_per_px / 1000
-    return CameraCorrection(reading.grown_px, reading.lost_beyond_mm, farther, at_m)
+    return CameraCorrection(reading.grown_px, reading.lost_beyond_mm, farther, at_m, raised_m)
 
 
 def scale_error(reading: OutlineReading) -> float:

@@ -14,6 +14,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.outline.body import Body, body_of
 from segmenter.outline.compare import Comparison, compare
+from segmenter.outline.flanks import FlankWatch
 from segmenter.track.track import State, TrackState, middle
 from segmenter.track.tracker import Tracker
 from segmenter.track.views import cut_out
@@ -122,6 +123,7 @@ class OutlineWatch:
         self._said: dict[int, list[Comparison]] = {}
         self._compared = self._shifts = 0
         self.reading: OutlineReading | None = None
+        self.flanks = FlankWatch()
 
     def step(
         self,
@@ -186,6 +188,8 @@ class OutlineWatch:
             number, first, second = self._waiting.popleft()
             said = compare(first, second, farther=self.reading.farther if self.reading else 0.0)
             self._compared += 1
+            if said is not None and said.risen_m is not None:
+                self.flanks.add(number, said.risen_m)
             if said is not None and (said.lost_px or number in self._said):
                 self._said.setdefault(number, []).append(said)
                 news = True
