@@ -32,7 +32,8 @@ class ClassifierRecipe:
     """How to train. `epochs` over all bodies, with other observations each time; labels: `smoothing`, 1 - that.
 
     `start_share`: of the network to start from, in what is written: the mean of both knows the new bodies and keeps
-    what the old ones taught (Wortsman et al., arXiv 2109.01903).
+    what the old ones taught (Wortsman et al., arXiv 2109.01903). `stretch`: by which its answers
+    are multiplied then, for a mean of two is less sure than each of them (Guo et al., arXiv 1706.04599).
     """
 
     epochs: int = 40
@@ -42,6 +43,7 @@ class ClassifierRecipe:
     smoothing: float = 0.005
     seed: int = 1
     start_share: float = 0.0
+    stretch: float = 1.0
 
 
 class ClassifierNet(nn.Module):
@@ -135,6 +137,8 @@ def train_classifier(
             for mine, theirs in zip(trained.state_dict().values(), start.state_dict().values(), strict=True):
                 if mine.is_floating_point():
                     mine.lerp_(theirs, recipe.start_share)
+        last.weight.mul_(recipe.stretch)
+        last.bias.mul_(recipe.stretch)
     return trained.eval(), time.process_time() - begun
 
 

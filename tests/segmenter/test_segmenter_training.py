@@ -114,18 +114,21 @@ def test_a_training_goes_on_where_another_ended(patches: Path, tmp_path: Path) -
 
 
 def test_what_is_written_may_keep_a_share_of_what_it_began_with(patches: Path, tmp_path: Path) -> None:
-    def trained(name: str, share: float, start: Path | None) -> dict[str, torch.Tensor]:
+    def trained(name: str, share: float, start: Path | None, stretch: float = 1.0) -> dict[str, torch.Tensor]:
         run = TrainingRun((patches / "train",), patches / "val", tmp_path, name, "test", start)
-        make_classifier(run, ClassifierRecipe(epochs=1, batch=4, start_share=share), on_step=lambda *_: None)
+        recipe = ClassifierRecipe(epochs=1, batch=4, start_share=share, stretch=stretch)
+        make_classifier(run, recipe, on_step=lambda *_: None)
         state: dict[str, torch.Tensor] = torch.load(tmp_path / f"{name}.pt")
         return state
 
     first = trained("first", 0.0, None)
     new, kept, half = (trained(f"share{share}", share, tmp_path / "first.pt") for share in (0.0, 1.0, 0.5))
+    surer = trained("surer", 0.5, tmp_path / "first.pt", stretch=1.2)
     for name, value in first.items():
         if value.is_floating_point():
             torch.testing.assert_close(kept[name], value)
             torch.testing.assert_close(half[name], (new[name] + value) / 2)
+            torch.testing.assert_close(surer[name], half[name] * (1.2 if name.startswith("head.3.") else 1.0))
 
 
 @pytest.mark.parametrize("missing", ["lost.pt", "lost.json"])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from conveyor.errors import InputError
-from tuberline.cli.numbers import Many, Seed
+from tuberline.cli.numbers import Many, Seed, within
 
 
 def make_patches(*, data: list[Path], out: Path, force: bool = False) -> None:
@@ -59,6 +59,7 @@ def train_classifier(
     out: Path,
     start: Path | None = None,
     start_share: float | None = None,
+    stretch: Annotated[float, within(0.1, 10)] = 1.0,
     epochs: Many = 40,
     rate: float = 4e-3,
     seed: Seed = 1,
@@ -80,6 +81,9 @@ def train_classifier(
         The .pt of an earlier training: learn on from there, on the same belts or on others.
     start_share
         Of the network to start from, in what is written, 0 to 1: keeps what it knew (0).
+    stretch
+        By which the answers of what is written are multiplied, 0.1 to 10: a mean of two networks is less sure than
+        each of them.
     epochs
         Passes over all bodies.
     rate
@@ -101,7 +105,7 @@ def train_classifier(
         raise InputError(f"--start-share {start_share:g}: from 0 to 1, of the network that --start names")
     run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]), start)
     with work_bar("reading belts") as on_work:
-        recipe = ClassifierRecipe(epochs=epochs, rate=rate, seed=seed, start_share=start_share or 0.0)
+        recipe = ClassifierRecipe(epochs=epochs, rate=rate, seed=seed, start_share=start_share or 0.0, stretch=stretch)
         sidecar = make_classifier(
             run, recipe, on_step=lambda step, total, loss: on_work(f"loss {loss:.3f}", step, total)
         )
