@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from segmenter.classify import prior as prior_module
 from segmenter.classify.evidence import Evidence, PatchNoise, shrunk
-from segmenter.classify.prior import MILD, Prior
+from segmenter.classify.prior import FEW, MILD, MOST_ADDED, Prior
 from segmenter.track.counting import CountSettings
 
 REFUSED_BELOW = CountSettings().reject_below
@@ -74,6 +75,43 @@ def test_more_evidence_for_a_clod_never_makes_it_likelier_to_be_counted() -> Non
     clods.learn(CLOD)
     tubers.learn(TUBER)
     assert tubers.share < prior.share < clods.share
+
+
+def test_a_camera_before_which_no_tuber_is_clear_has_its_answers_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where depth was matched of two small images: the best of forty tubers get answers of 1 to 2."""
+    low = np.random.default_rng(33).normal(-0.4, 1.8, 300).tolist()
+    assert after(low).added == pytest.approx(MOST_ADDED, abs=0.2)
+    refused = refused_of(low)
+    monkeypatch.setattr(prior_module, "MOST_ADDED", 0.0)
+    assert refused_of(low) >= 10
+    assert refused <= refused_of(low) / 10
+
+
+def refused_of(evidence: list[float]) -> int:
+    prior, refused = Prior(), 0
+    for one in evidence:
+        refused += refuses(prior, one)
+        prior.learn(one)
+    return refused
+
+
+def test_nothing_is_added_where_tubers_and_clods_are_clear() -> None:
+    for every in (2, 4, 50):
+        assert after([CLOD if n % every == 0 else TUBER for n in range(60)]).added == 0
+    for only in (CLOD, TUBER):
+        assert after([only] * 40).added == 0
+
+
+def test_what_is_added_grows_with_the_answers_in_the_gap_and_with_their_number() -> None:
+    few = after([0.5] * (FEW - 1))
+    assert few.added == 0
+    few.learn(0.5)
+    assert few.added == MOST_ADDED / 2
+    of_sixty = [after([0.5] * n + [TUBER] * (60 - n)).added for n in range(0, 61, 5)]
+    assert of_sixty == sorted(of_sixty)
+    assert of_sixty[3] == 0  # a quarter is usual
+    assert of_sixty[-1] == pytest.approx(MOST_ADDED * 60 / (60 + FEW))
+    assert after([0.5] * 60 + [TUBER] * 60).added == 0  # the camera's lens was cleaned
 
 
 def test_the_same_tracks_in_the_same_order_say_the_same_to_the_bit() -> None:
