@@ -10,6 +10,7 @@ from conveyor.messages import Frame
 from segmenter.classify.patch import Patch
 from segmenter.outline.body import Body
 from segmenter.outline.compare import compare
+from segmenter.outline.flanks import risen_m
 from segmenter.pipeline import Segmenter, Settings
 
 
@@ -50,3 +51,4 @@ def warm_up(pixel_mm: float) -> None:
         beside=np.zeros(depth_m.shape, np.bool_),
     )
     compare(body, body)
+    risen_m(body, body, np.eye(3), np.zeros(3))
