@@ -11,7 +11,7 @@ from typing import Any
 from conveyor.counters import CounterSet
 from conveyor.errors import LinkError
 from conveyor.served import ServedAt
-from viewer.foxglove.pen import Pen, encoded, schema_of
+from viewer.foxglove.pen import SCENE, TRANSFORMS, Pen, encoded, schema_of
 from viewer.foxglove.sdk import ServerListener, foxglove
 from viewer.scene.primitives import Entry
 from viewer.sink import IDLE_S, Sink
@@ -78,7 +78,12 @@ class ServerSink(Sink):
         self._tell_again = 0
         self._listener = _Listener(self._someone_came)
         self._context = foxglove.Context()
-        self._pen = Pen(ServerOutlet(self._context))
+        outlet = ServerOutlet(self._context)
+        # Told to an app as it connects: one that subscribes the moment a channel is told later may come too soon for
+        # the server ("unknown channel"), and has none of it until it connects again.
+        outlet.wants(TRANSFORMS, "FrameTransform")
+        outlet.wants(SCENE, "SceneUpdate")
+        self._pen = Pen(outlet)
         foxglove.set_log_level("WARNING")
         try:
             self._server = foxglove.start_server(
