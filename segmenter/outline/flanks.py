@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.crop_depth import closed
 from conveyor.kernels import kernel
 from segmenter.outline.body import Body
+from segmenter.outline.growth import inside_px
 
 BINS = 12
 """Pixels inside the outline, one each; the first are the outermost pixels."""
@@ -171,8 +170,6 @@ def without_rise(depth: NDArray[np.uint16], raised_m: tuple[float, ...], *, dept
     """
     if not raised_m:
         return depth
-    seen = np.pad((depth > 0).astype(np.uint8), 1)
-    inside = cv2.distanceTransform(closed(seen), cv2.DIST_L2, cv2.DIST_MASK_5)[1:-1, 1:-1]
-    taken_m = np.interp(inside, np.arange(len(raised_m) + 1) + 0.5, (*raised_m, 0.0))
+    taken_m = np.interp(inside_px(depth), np.arange(len(raised_m) + 1) + 0.5, (*raised_m, 0.0))
     farther = np.rint(depth + taken_m / depth_scale_m)
     return np.where(depth > 0, np.minimum(farther, np.iinfo(np.uint16).max), 0).astype(np.uint16)
