@@ -18,10 +18,11 @@ from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
 from camera_sim.sim.presets import EASY_PRESET, EXACT_PRESET, FIELD_PRESET, Preset
 from camera_sim.sim.scenes import Layout, SceneSettings, belt_tuber, build_world
-from camera_sim.sim.stereo import Field, NoiseBank, measure
+from camera_sim.sim.seen import measured
+from camera_sim.sim.stereo import Field, NoiseBank
 from camera_sim.sim.stereo_faults import bowed_field
 from camera_sim.sim.tubers import Tuber, draw_odd_tuber, grow
-from camera_sim.sim.world import Body, CameraPose, World, render
+from camera_sim.sim.world import Body, CameraPose, World
 from conveyor.geometry import Intrinsics
 
 DISTANCE_M = (0.30, 0.60)
@@ -65,16 +66,18 @@ class BeltView:
 
 
 def random_belt_views(
-    seed: int, number: int, *, frames: int, tubers: int, hard_negatives: bool = False
+    seed: int, number: int, *, frames: int, tubers: int, hard_negatives: bool = False, matched: float = 0.0
 ) -> Iterator[BeltView]:
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
     `hard_negatives`: every other body is a clod or a stone of a tuber's size, small, knobby and bumpy tubers are
     frequent, views are about as far apart as the segmenter's looks, half of the belts are of the world `harsh`, one in
     ten of `exact`.
+
+    `matched`: share of these belts whose camera matches two images instead (`camera_sim.sim.matched`).
     """
     rng = np.random.default_rng([seed, 40, number])
-    drawn = hard_negative_settings if hard_negatives else _settings
+    drawn = partial(hard_negative_settings, matched=matched) if hard_negatives else _settings
     settings, layout = drawn(rng, seed=int(rng.integers(2**31)), tubers=tubers)
     world = build_world(settings, layout)
     if settings.conditions is None:
@@ -117,14 +120,19 @@ def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings,
     return settings, layout
 
 
-def hard_negative_settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
+def hard_negative_settings(
+    rng: Generator, *, seed: int, tubers: int, matched: float = 0.0
+) -> tuple[SceneSettings, Layout]:
     """A belt for the classifier, every other body a clod or a stone; half of the draws are of the world `harsh`, one in
-    ten of `exact`.
+    ten of `exact`, and of all the share `matched` has a camera of that preset instead.
     """
     half, which = rng.uniform(0.30, 0.52), rng.random()
-    harsh = draw_conditions("harsh", rng) if which < HARSH_SHARE else None
+    two_images = matched > 0 and np.random.default_rng([seed, 41]).random() < matched
+    harsh = draw_conditions("harsh", rng) if which < HARSH_SHARE and not two_images else None
     one_tuber: Callable[[Generator], Tuber] = _often_hard
-    if harsh is not None:
+    if two_images:
+        preset, one_tuber = draw_conditions("matched", rng).preset, _often_odd
+    elif harsh is not None:
         preset, one_tuber = harsh.preset, partial(_often_hard_of, harsh)
     elif which < HARSH_SHARE + EXACT_SHARE:
         preset, one_tuber = EXACT_PRESET, _often_odd
@@ -199,12 +207,13 @@ def _view(
     *,
     travel_m: float,
 ) -> BeltView:
-    canvas = render(world, camera, travel_m, time_s=travel_m / settings.speed_mps)
-    depth = measure(
-        (1 / canvas.inverse_depth).astype(np.float32),
-        focal_px=camera.optics.intrinsics.fx,
+    canvas, depth = measured(
+        world,
+        camera,
+        settings.preset,
+        travel_m=travel_m,
+        time_s=travel_m / settings.speed_mps,
         unit_m=settings.unit_m,
-        noise=settings.preset.noise,
         bank=bank,
         rng=rng,
         bow=bow,

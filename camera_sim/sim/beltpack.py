@@ -18,13 +18,18 @@ def write_belt_pack(
     seed: int,
     command: str,
     hard_negatives: bool = False,
+    matched: float = 0.0,
     on_belt: Callable[[int], None] = lambda _: None,
 ) -> int:
     """Simulate `belts` belts and write `frames` frames of each under `out`; returns how many frames were made."""
     meta = {"command": command, "seed": seed, "tubers_per_belt": tubers, "hard_negatives": hard_negatives}
+    if matched > 0:
+        meta["matched"] = matched
     with BeltPackWriter(out, meta=meta) as writer:
         for belt in range(belts):
-            views = random_belt_views(seed, belt, frames=frames, tubers=tubers, hard_negatives=hard_negatives)
+            views = random_belt_views(
+                seed, belt, frames=frames, tubers=tubers, hard_negatives=hard_negatives, matched=matched
+            )
             writer.add(_packed(list(views)))
             on_belt(belt)
     return writer.frames

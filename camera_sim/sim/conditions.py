@@ -13,7 +13,8 @@ from numpy.random import Generator
 
 from camera_sim.sim.cultivars import Stock, draw_stock
 from camera_sim.sim.lowering import typical_sink_m
-from camera_sim.sim.presets import HARSH_PRESET, PRESETS, Preset
+from camera_sim.sim.matched import draw_matching
+from camera_sim.sim.presets import HARSH_PRESET, MATCHED_PRESET, PRESETS, Preset
 from camera_sim.sim.rods import Rods
 from camera_sim.sim.stereo import StereoNoise
 from camera_sim.sim.surface import FLAT, Surface
@@ -110,11 +111,15 @@ class Conditions:
 
 
 def draw_conditions(name: str, rng: Generator) -> Conditions:
-    """The world of a recording of the preset `name`; 'worlds' draws the preset too. All tubers are of one cultivar."""
+    """The world of a recording of the preset `name`; 'worlds' draws the preset too. All tubers are of one cultivar, but
+    for those of 'matched'.
+    """
     if name == "worlds":
         name = str(rng.choice(np.array(list(WORLDS)), p=np.array(list(WORLDS.values()))))
     if name not in PRESETS:
         raise InputError(f"preset '{name}' is unknown; known: {', '.join(PRESETS)}, worlds")
+    if name == "matched":
+        return Conditions(replace(MATCHED_PRESET, matching=draw_matching(rng)))
     stock = draw_stock(rng)
     if name != "harsh":
         return Conditions(PRESETS[name], stock=stock)

@@ -1,5 +1,7 @@
 """How hard the simulated world is: 'easy', 'field', a mix of both, or 'harsh', drawn for each recording.
 
+'matched' has a camera whose depth is made of two images by a stereo matcher (`matched`), drawn for each recording.
+
 'exact' is no harvester's: other simulators' cameras only round, and half of its shapes are of no cultivar. Weights that
 were never shown such views read them several percent off.
 
@@ -16,6 +18,7 @@ from dataclasses import dataclass
 
 from numpy.random import Generator
 
+from camera_sim.sim.matched import Matching
 from camera_sim.sim.meshes import Vertices
 from camera_sim.sim.poses import free_rotation, resting_rotation
 from camera_sim.sim.stereo import EASY, EXACT, FIELD, StereoNoise
@@ -36,6 +39,7 @@ class Preset:
         touched: share of views with a neighbour that touches.
         mask_px: by how many pixels masks are too large (below 0: too small); each is as likely.
         odd_share: share of tubers of a shape that no cultivar has; in single views only.
+        matching: the camera matches two images, and `noise` says nothing but that it has neither scale nor drift.
     """
 
     name: str
@@ -50,6 +54,7 @@ class Preset:
     touched: float
     mask_px: tuple[int, ...] = (-2, -1, 0, 0, 0, 1)
     odd_share: float = 0.0
+    matching: Matching | None = None
 
     @property
     def belt_sd_m(self) -> float:
@@ -64,7 +69,17 @@ HARSH_PRESET = Preset("harsh", FIELD, 0.35, 0.006, 30.0, 0.0020, 0.0015, 0.0, 1.
 EXACT_PRESET = Preset(
     "exact", EXACT, 0.25, 0.006, 30.0, 0.0005, 0.0, 0.0, ragged_px=0.0, touched=0.0, mask_px=(0,), odd_share=0.5
 )
-PRESETS = {"easy": EASY_PRESET, "field": FIELD_PRESET, "harsh": HARSH_PRESET, "exact": EXACT_PRESET}
+MATCHED_PRESET = Preset(
+    "matched", EXACT, 0.25, 0.006, 30.0, 0.0005, 0.0003, 0.0005, 0.7, 0.15, odd_share=0.25, matching=Matching()
+)
+"""Poses between those of 'easy' and 'field'; the camera is drawn for each recording by `conditions`."""
+PRESETS = {
+    "easy": EASY_PRESET,
+    "field": FIELD_PRESET,
+    "harsh": HARSH_PRESET,
+    "exact": EXACT_PRESET,
+    "matched": MATCHED_PRESET,
+}
 
 
 def preset_named(name: str, rng: Generator) -> Preset:

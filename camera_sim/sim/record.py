@@ -47,6 +47,8 @@ def record_scene(
         "preset": settings.preset.name,
         "faults": list(faults),
     }
+    if settings.preset.matching is not None:
+        truth["matching"] = asdict(settings.preset.matching)
     truth |= world_truth(settings, layout)
     cameras = [camera.name for camera in world.cameras]
     texts = {"truth.json": as_text(truth), "line.json": as_text(line_file(cameras, belt_speed_mps=settings.speed_mps))}

@@ -148,13 +148,17 @@ def layout_named(name: str) -> Layout:
 
 
 def in_its_world(settings: SceneSettings, layout: Layout) -> SceneSettings:
-    """The settings with what only this recording has: its world where the preset is 'harsh', what it states of it."""
+    """The settings with what only this recording has: its world where the preset is 'harsh', its camera where that is
+    'matched', what it states.
+    """
     rng = np.random.default_rng([settings.seed, 12])
     if settings.preset.name == "harsh" and settings.conditions is None:
         drawn = draw_conditions("harsh", rng)
         settings = replace(settings, conditions=drawn, preset=drawn.preset)
         if settings.heave_mm == 0:
             settings = replace(settings, heave_mm=drawn.heave_m * 1000, heave_hz=drawn.heave_hz)
+    if settings.preset.name == "matched":
+        settings = replace(settings, preset=draw_conditions("matched", rng).preset)
     if settings.stated is None and settings.conditions is not None:
         stated = draw_stated(settings.conditions, rng)
         settings = replace(

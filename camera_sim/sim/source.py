@@ -15,9 +15,10 @@ from camera_sim.sim.meshes import volume
 from camera_sim.sim.paint import paint_jpeg
 from camera_sim.sim.raster import Canvas
 from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
-from camera_sim.sim.stereo import Field, NoiseBank, StereoNoise, measure
+from camera_sim.sim.seen import measured
+from camera_sim.sim.stereo import Field, NoiseBank, StereoNoise
 from camera_sim.sim.stereo_faults import bowed_field
-from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m, render
+from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m
 from conveyor.errors import InputError
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
@@ -114,13 +115,14 @@ class SimulatedSource:
         travel = self._world.motion.travel_at(time_s)
         seen_s = self.time_s(picture)
         camera, noise = self._disturbed(seq)
-        canvas = render(self._world, camera, self._world.motion.travel_at(seen_s), time_s=seen_s)
         rng = np.random.default_rng([*self._key, 2, picture])
-        depth = measure(
-            (1 / canvas.inverse_depth).astype(np.float32),
-            focal_px=k.fx,
+        canvas, depth = measured(
+            self._world,
+            camera,
+            replace(settings.preset, noise=noise),
+            travel_m=self._world.motion.travel_at(seen_s),
+            time_s=seen_s,
             unit_m=settings.unit_m,
-            noise=noise,
             bank=self._bank,
             rng=rng,
             bow=self._bowed(),

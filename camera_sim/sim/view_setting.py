@@ -16,8 +16,8 @@ from camera_sim.sim.stereo_faults import bowed_field
 
 SEASON_DISTANCES_M = (0.345, 0.460, 0.465)
 TUBERS_PER_RECORDING = 25
-BY_RECORDING = ("harsh", "worlds")
-"""Presets whose camera, belt and cultivar are shared by all tubers of a recording."""
+BY_RECORDING = ("harsh", "worlds", "matched")
+"""Presets whose camera and belt, and but for 'matched' cultivar, are shared by all tubers of a recording."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class ViewPlan:
     """What a pack of views shall hold.
 
     Attributes:
-        preset: 'easy', 'field', 'harsh', 'exact', 'mixed' (easy or field by tuber) or 'worlds' (any but exact, by
-            recording).
+        preset: 'easy', 'field', 'harsh', 'exact', 'matched', 'mixed' (easy or field by tuber) or 'worlds' (easy, field
+            or harsh by recording).
         optics: None is either D405 resolution.
     """
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from camera_sim.sim.belt import belt_depth, draw_belt
 from camera_sim.sim.conditions import Conditions, StatedRest, draw_tuber_of
 from camera_sim.sim.lowering import settled, underside_of
-from camera_sim.sim.meshes import Vertices, rotation_about
+from camera_sim.sim.matched import matched
+from camera_sim.sim.meshes import Faces, Vertices, rotation_about
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.poses import free_rotation, rest_on_belt
 from camera_sim.sim.presets import PRESETS, initial_rotation
@@ -29,6 +30,7 @@ from camera_sim.sim.view_setting import (
     draw_setting,
 )
 from camera_sim.sim.view_truth import Pose, Rim, pose_of, rim_of
+from camera_sim.sim.world import rigid_between
 from conveyor.geometry import Intrinsics, inverse_rigid, straight_down_belt_from_camera, transform_points
 
 __all__ = ["SimulatedView", "ViewPlan", "ViewSimulator"]
@@ -144,11 +146,11 @@ class ViewSimulator:
         travel_m = float(rng.uniform(0, 1))
         if lying.settled_x_m is not None:
             travel_m = float(place[0]) - lying.settled_x_m
-        canvas = _background(setting, window, belt_from_camera, travel_m)
-        draw(canvas, points, tuber.faces, intrinsics=intrinsics, instance=1)
+        scene = _Scene(setting, belt_from_camera, travel_m, [(lying.body + place, tuber.faces)])
         if rng.random() < setting.preset.touched:
-            _draw_neighbour(canvas, lying.body + place, camera_from_belt, intrinsics, rng)
-        depth = _measured(canvas, setting, self._bank, rng)
+            scene.bodies.append(_neighbour(lying.body + place, rng))
+        canvas = scene.seen(0.0, window)
+        depth = _measured(canvas, scene, tuber.vertices, self._bank, rng)
         floor_m = rng.uniform(0.004, 0.009) if rng.random() < 0.7 else -1.0
         silhouette = canvas.ids == 1
         mask = _ragged_mask(silhouette, setting, self._bank, rng)
@@ -179,9 +181,9 @@ class ViewSimulator:
 
 
 def _draw_tuber(plan: ViewPlan, recording: Recording, rng: Generator) -> Tuber:
-    if recording.conditions is not None:
-        return draw_tuber_of(recording.conditions, rng)
     odd = PRESETS[plan.preset].odd_share if plan.preset in PRESETS else 0.0
+    if recording.conditions is not None and odd == 0:
+        return draw_tuber_of(recording.conditions, rng)
     return draw_odd_tuber(rng) if odd > 0 and rng.random() < odd else draw_tuber(rng)
 
 
@@ -202,8 +204,47 @@ def _ground_m(setting: Setting, y_m: float) -> float:
     return float(surface.height_m(y_m)) if surface.sag_m > 0 else 0.0
 
 
-def _measured(canvas: Canvas, setting: Setting, bank: NoiseBank, rng: Generator) -> NDArray[np.uint16]:
-    window, bow = canvas.window, setting.bow
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """Belt and bodies under the camera at one moment; `bodies` are (V, 3) in belt coordinates with their faces."""
+
+    setting: Setting
+    belt_from_camera: NDArray[np.float64]
+    travel_m: float
+    bodies: list[tuple[Vertices, Faces]]
+
+    def seen(self, aside_m: float, window: Window) -> Canvas:
+        """What an imager so far to the right of the camera sees of a window; bodies are 1, 2."""
+        belt_from_camera = self.belt_from_camera.copy()
+        belt_from_camera[:3, 3] += belt_from_camera[:3, 0] * aside_m
+        camera_from_belt = inverse_rigid(belt_from_camera)
+        canvas = _background(self.setting, window, belt_from_camera, self.travel_m)
+        for number, (vertices, faces) in enumerate(self.bodies, start=1):
+            points = transform_points(camera_from_belt, vertices)
+            draw(canvas, points, faces, intrinsics=self.setting.optics.intrinsics, instance=number)
+        return canvas
+
+
+def _measured(canvas: Canvas, scene: _Scene, at_home: Vertices, bank: NoiseBank, rng: Generator) -> NDArray[np.uint16]:
+    """Depth of the canvas' window as the camera measures it; `at_home`: the tuber's vertices before it was laid."""
+    window, setting = canvas.window, scene.setting
+    bow, matching = setting.bow, setting.preset.matching
+    if matching is not None:
+        riding = scene.belt_from_camera.copy()
+        riding[0, 3] -= scene.travel_m
+        own = np.tile(riding, (len(scene.bodies) + 1, 1, 1))
+        own[1] = rigid_between(scene.bodies[0][0], at_home) @ scene.belt_from_camera
+        return matched(
+            scene.seen,
+            own,
+            up=scene.belt_from_camera[2, :3],
+            belt_m=setting.true_distance_m,
+            intrinsics=setting.optics.intrinsics,
+            window=window,
+            unit_m=setting.unit_m,
+            matching=matching,
+            rng=rng,
+        )
     if bow is not None:
         bow = bow[window.v0 : window.v0 + window.height, window.u0 : window.u0 + window.width]
     return measure(
@@ -261,9 +302,7 @@ def _background(setting: Setting, window: Window, belt_from_camera: NDArray[np.f
     return canvas_over(depth, window)
 
 
-def _draw_neighbour(
-    canvas: Canvas, body: Vertices, camera_from_belt: NDArray[np.float64], k: Intrinsics, rng: Generator
-) -> None:
+def _neighbour(body: Vertices, rng: Generator) -> tuple[Vertices, Faces]:
     """Another tuber that touches `body`: as near as two bodies parted by an upright plane can be, and as far sunk."""
     other = draw_tuber(rng, level=3)
     turned = rest_on_belt(other.vertices, free_rotation(rng))
@@ -273,7 +312,7 @@ def _draw_neighbour(
     middle = (body[:, :2].max(axis=0) + body[:, :2].min(axis=0)) / 2
     centre = towards * (distance - float(middle @ towards)) + middle
     shifted = turned + np.array([centre[0], centre[1], min(0.0, float(body[:, 2].min()))])
-    draw(canvas, transform_points(camera_from_belt, shifted), other.faces, intrinsics=k, instance=2)
+    return shifted, other.faces
 
 
 def _ragged_mask(mask: NDArray[np.bool_], setting: Setting, bank: NoiseBank, rng: Generator) -> NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from camera_sim.sim.drift import Drift
 from camera_sim.sim.meshes import Faces, Vertices, rotation_about
 from camera_sim.sim.motion import BeltMotion
 from camera_sim.sim.optics import BASELINE_M, Optics
-from camera_sim.sim.raster import Canvas, canvas_over, draw, whole_image
+from camera_sim.sim.raster import Canvas, Window, canvas_over, draw, whole_image
 from camera_sim.sim.tubers import Tuber
 from conveyor.geometry import Intrinsics, inverse_rigid, straight_down_belt_from_camera, transform_points
 
@@ -136,13 +136,28 @@ def mount(
     return belt_from_camera
 
 
-def render(world: World, camera: CameraPose, travel_m: float, *, time_s: float = 0.0) -> Canvas:
-    """What `camera` truly sees when the belt has moved `travel_m`; ids are the bodies'. `time_s`: of the heave."""
+def render(
+    world: World,
+    camera: CameraPose,
+    travel_m: float,
+    *,
+    time_s: float = 0.0,
+    window: Window | None = None,
+    aside_m: float = 0.0,
+) -> Canvas:
+    """What `camera` truly sees when the belt has moved `travel_m`; ids are the bodies'.
+
+    Args:
+        time_s: of the heave. window: the part that is drawn, which may reach beyond the image; None: the image.
+        aside_m: how far to the right of the camera what looks is, a second imager say.
+    """
     k = camera.optics.intrinsics
-    belt_from_camera = camera.belt_from_camera
-    if world.heave is not None:
+    if window is not None:
+        k = Intrinsics(window.width, window.height, k.fx, k.fy, k.cx - window.u0, k.cy - window.v0)
+    belt_from_camera = heaved(world, camera, time_s)
+    if aside_m:
         belt_from_camera = belt_from_camera.copy()
-        belt_from_camera[2, 3] -= world.heave.height_m(time_s)
+        belt_from_camera[:3, 3] += belt_from_camera[:3, 0] * aside_m
     camera_from_belt = inverse_rigid(belt_from_camera)
     depth = belt_depth(
         world.belt,
@@ -164,7 +179,41 @@ def render(world: World, camera: CameraPose, travel_m: float, *, time_s: float =
             draw(canvas, points, body.faces, intrinsics=k, instance=body.body_id)
     for body in world.fixed:
         draw(canvas, transform_points(camera_from_belt, body.vertices), body.faces, intrinsics=k, instance=body.body_id)
-    return canvas
+    return canvas if window is None else replace(canvas, window=window)
+
+
+def heaved(world: World, camera: CameraPose, time_s: float) -> NDArray[np.float64]:
+    """(4, 4) belt_from_camera at `time_s`: belt and load rise and fall."""
+    belt_from_camera = camera.belt_from_camera
+    if world.heave is not None:
+        belt_from_camera = belt_from_camera.copy()
+        belt_from_camera[2, 3] -= world.heave.height_m(time_s)
+    return belt_from_camera
+
+
+def own_frames(world: World, camera: CameraPose, travel_m: float, *, time_s: float = 0.0) -> NDArray[np.float64]:
+    """(n + 1, 4, 4) for belt (0) and bodies the frame that moves with each, from the camera's."""
+    belt_from_camera = heaved(world, camera, time_s)
+    riding = belt_from_camera.copy()
+    riding[0, 3] -= travel_m
+    numbers = [body.body_id for body in (*world.bodies, *world.fixed)]
+    frames = np.tile(riding, (max(numbers, default=0) + 1, 1, 1))
+    for body in world.bodies:
+        if body.drift is not None:
+            frames[body.body_id] = rigid_between(body.vertices_at(travel_m), body.vertices) @ riding
+    for body in world.fixed:
+        frames[body.body_id] = belt_from_camera
+    return frames
+
+
+def rigid_between(start: Vertices, end: Vertices) -> NDArray[np.float64]:
+    """(4, 4) the rigid motion that brings (V, 3) `start` to `end`, by least squares."""
+    a, b = start.mean(axis=0), end.mean(axis=0)
+    u, _, vt = np.linalg.svd((end - b).T @ (start - a))
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    moved = np.eye(4)
+    moved[:3, :3], moved[:3, 3] = turn, b - turn @ a
+    return moved
 
 
 def crossing_travel_m(body: Body, camera: CameraPose) -> float | None:

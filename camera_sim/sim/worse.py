@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from camera_sim.sim.scenes import SceneSettings
 from camera_sim.sim.stereo import StereoNoise
+from conveyor.errors import InputError
 
 NOISE: dict[str, Callable[[StereoNoise], StereoNoise]] = {
     "coarse-disparity": lambda noise: replace(noise, steps_per_px=8),
@@ -33,8 +34,17 @@ WORLD: dict[str, Callable[[SceneSettings], SceneSettings]] = {
 
 
 def worsened(settings: SceneSettings, names: tuple[str, ...]) -> SceneSettings:
-    """The settings with all named changes; names of other kinds change nothing here."""
+    """The settings with all named changes; names of other kinds change nothing here.
+
+    Raises:
+        InputError: errors are to be drawn worse of a camera whose errors are not drawn.
+    """
     for name in names:
+        if settings.preset.matching is not None and (name in NOISE or name == "depth-drift"):
+            raise InputError(
+                f"--inject {name} changes errors that are drawn, and those of --preset matched come of matching two "
+                "images; choose easy, field or harsh for it"
+            )
         if name in NOISE:
             noise = NOISE[name](settings.preset.noise)
             settings = replace(settings, preset=replace(settings.preset, noise=noise))

@@ -25,7 +25,7 @@ def simulate(
     fps: float = 30.0,
     speed_mps: float = 0.31,
     belt_distance_m: float = 0.46,
-    preset: Literal["easy", "field", "harsh"] = "easy",
+    preset: Literal["easy", "field", "harsh", "matched"] = "easy",
     resting_offset_mm: float = 0.0,
     heave_mm: float = 0.0,
     heave_hz: float = 4.0,
@@ -61,7 +61,8 @@ def simulate(
         Camera to belt along the optical axis, metres.
     preset
         Tubers at rest and a good camera (easy), odd poses, belt height errors and a worse one (field), or a camera, a
-        belt and a cultivar drawn from all that real ones showed (harsh).
+        belt and a cultivar drawn from all that real ones showed (harsh), or a camera whose depth a stereo matcher makes
+        of two images (matched).
     resting_offset_mm
         How far the whole load lies below the belt plane that the camera sees, beside what rods and cleats do.
     heave_mm

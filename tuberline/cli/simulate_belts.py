@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Annotated
 
 from conveyor.errors import InputError
-from tuberline.cli.numbers import Many, Seed
+from tuberline.cli.numbers import Many, Seed, within
 
 
 def simulate_belts(
@@ -16,6 +17,7 @@ def simulate_belts(
     frames: Many = 8,
     tubers: Many = 20,
     hard_negatives: bool = False,
+    matched: Annotated[float, within(0, 1)] = 0.0,
     seed: Seed = 1,
     force: bool = False,
 ) -> None:
@@ -37,6 +39,9 @@ def simulate_belts(
         Every other body is a clod or a stone of a tuber's size, small, knobby and bumpy tubers are frequent, the load
         of two belts in five moves, every second belt is of the world `harsh`, one in ten of `exact`, and frames are 11
         to 21 mm apart: for the classifier.
+    matched
+        Share of these belts whose camera is of the preset `matched` instead, which matches two images: its errors stay
+        on the skin. Only with --hard-negatives.
     seed
         The same seed gives the same frames.
     force
@@ -46,6 +51,8 @@ def simulate_belts(
     from conveyor.files import whole_output
     from tuberline.cli.progress import progress_bar
 
+    if matched > 0 and not hard_negatives:
+        raise InputError("--matched is a share of the belts of --hard-negatives; add that, or leave it out")
     if any(out.glob("belts-*.npz")) and not force:
         raise InputError(f"{out} already holds a pack of belts; choose another folder or add --force")
     with whole_output(out) as partial, progress_bar() as progress:
@@ -57,6 +64,7 @@ def simulate_belts(
             tubers=tubers,
             seed=seed,
             hard_negatives=hard_negatives,
+            matched=matched,
             command=" ".join(["tuberline", *sys.argv[1:]]),
             on_belt=lambda _: progress.advance(task),
         )

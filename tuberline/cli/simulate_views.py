@@ -10,7 +10,7 @@ from typing import Literal
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed
 
-Preset = Literal["field", "easy", "harsh", "mixed", "worlds", "exact"]
+Preset = Literal["field", "easy", "harsh", "mixed", "worlds", "exact", "matched"]
 ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
 
 
@@ -40,8 +40,9 @@ def simulate_views(
         The same seed gives the same views.
     preset
         How hard: tubers at rest (easy), in any pose with belt height errors (field), cameras and belts as bad as real
-        ones get, drawn by recording (harsh), easy and field by tuber (mixed), all three by recording (worlds), or a
-        camera that only rounds over shapes of which half are of no cultivar (exact).
+        ones get, drawn by recording (harsh), easy and field by tuber (mixed), all three by recording (worlds), a camera
+        that only rounds over shapes of which half are of no cultivar (exact), or one whose depth a stereo matcher makes
+        of two images, drawn by recording (matched).
     camera
         Camera resolution; 'mixed' takes both and, in 4 of 10 cases, any belt distance from 0.30 to 0.55 m.
     distances
