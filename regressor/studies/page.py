@@ -27,14 +27,16 @@ WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --v
     tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 76803 --preset harsh
     tuberline simulate-views --out packs/exact --tubers 1250 --views 2 --seed 76804 --preset exact
     # the same again with the seeds 76901 to 76904, into packs/easy-2, field-2, harsh-2 and exact-2
+    tuberline simulate-views --out packs/matched --tubers 1250 --views 2 --seed 76805 --preset matched
     tuberline evaluate --data packs --by all --out worlds"""
 WORLDS_WORDS = (
     "A recording is 25 tubers that share camera, belt and cultivar (those of `exact` have their own); its interval is "
     "as wide as the ledger states a load's before any ticket, with the resting level as well known as the pack says. "
-    "The seeds were fixed before the packs were made, choices were made on seeds 73701 to 73704, and each of these two "
-    "sets was judged once; nothing was changed between. Half of the recordings of `harsh` are under soil, which "
-    "weights take for tuber and the truth does not; its clean tubers have a row and a column of their own. `exact` is "
-    "no harvester's world: a camera that only rounds, and half of the shapes of no cultivar."
+    "The seeds were fixed before the packs were made, choices were made on seeds 71701 to 71705, and each pack was "
+    "judged once with these weights; all but `matched` had been judged with those before them. Half of the recordings "
+    "of `harsh` are under soil, which weights take for tuber and the truth does not; its clean tubers have a row and a "
+    "column of their own. `exact` is no harvester's world: a camera that only rounds, and half of the shapes of no "
+    "cultivar. In `matched` a stereo matcher makes the depth of two images, another one in each recording."
 )
 
 

@@ -30,7 +30,7 @@ Resting = Literal["calibrated", "stated"]
 as a calibration finds it, the mean level of the recording's undersides, with soil under them and play between rods, and
 with that calibration's error. What no one can know is no part of a training."""
 CALIBRATED_SD_M = 0.001
-OWN_ERROR = ("easy", "field", "exact")
+OWN_ERROR = ("easy", "field", "exact", "matched")
 """Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""
 UNKNOWN = "unknown"
 RESTING_MM = ("stated_resting_mm", "stated_resting_sd_mm", "resting_recording_mm", "resting_mm")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from conveyor.config import BeltConfig, parse_config
 from conveyor.errors import ConfigError, MessageError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.resting import RestingLevel, ellipse_sink_m
+from regressor.training.labelled import read_labelled
 from tests.regressor.ellipsoids import ellipsoid_view
+from tuberline.cli.simulate_views import simulate_views
 
 
 @pytest.mark.parametrize(("radius_mm", "sink_mm"), [(20, 9.7), (28, 6.6), (40, 4.6)])
@@ -86,3 +89,12 @@ def test_the_config_says_what_tubers_lie_on() -> None:
         parse_config({"belt": {"rod_pitch_mm": 20, "rod_diameter_mm": 25}}, where="t")
     with pytest.raises(ConfigError, match="resting_offset_mm"):
         parse_config({"belt": {"resting_offset_mm": 400}}, where="t")
+
+
+def test_a_belt_whose_load_lies_on_its_plane_is_known_as_well_as_its_distance(tmp_path: Path) -> None:
+    """Of `matched` too: its recordings had a resting level of their own, known to anything from 0.3 to 1.5 mm."""
+    for preset, alike in (("easy", True), ("exact", True), ("matched", True), ("harsh", False)):
+        simulate_views(out=tmp_path / preset, tubers=2, views=1, seed=5, preset=preset)
+        views = list(read_labelled(tmp_path / preset))
+        assert views
+        assert all((view.level_sd_m == view.belt_sd_m) == alike for view in views), preset
