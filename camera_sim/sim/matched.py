@@ -24,7 +24,10 @@ from conveyor.kernels import kernel
 FINER = 2
 """Images are matched on so many times their rows and columns: steps of disparity are 1/32 px, as a D405's."""
 PAD_PX = 28
-"""What is drawn around the window that is asked for: a matcher needs what lies beside it, and the image's rim, too."""
+"""What is drawn at least around the window that is asked for: a matcher needs what lies beside it, and the image's rim,
+too. It sees nothing as far from the left as the disparities are that it looks for."""
+STEP = 16
+"""The matcher looks for a multiple of so many fine disparities."""
 MOST_APART = 2.0
 """Fine disparities of one pixel that differ by more than this are no match."""
 LATTICE = 48
@@ -93,11 +96,16 @@ def matched(
         own_from_camera: (n, 4, 4) for each id the frame that its marks are fixed to.
         up: (3,) away from the belt, in the camera's frame. belt_m: about how far that is. rng: of the images' noise.
     """
-    padded = Window(window.u0 - PAD_PX, window.v0 - PAD_PX, window.height + 2 * PAD_PX, window.width + 2 * PAD_PX)
+    strength, pad = intrinsics.fx * matching.baseline_m, PAD_PX
+    padded = _padded(window, pad)
     left = show(0.0, padded)
-    strength = intrinsics.fx * matching.baseline_m
     near, far = strength * float(left.inverse_depth.max()), strength * float(left.inverse_depth.min())
     shift = int(far) - 2  # the right image begins so much farther left, so that disparities begin near 2
+    disparities = STEP * max(1, int(np.ceil((FINER * (near - shift) + 8) / STEP)))
+    if (disparities + matching.window_px) // FINER >= pad:
+        pad = (disparities + matching.window_px) // FINER + 1
+        padded = _padded(window, pad)
+        left = show(0.0, padded)
     right = show(matching.baseline_m, Window(padded.u0 - shift, padded.v0, padded.height, padded.width))
     aside = np.eye(4)
     aside[0, 3] = matching.baseline_m
@@ -106,13 +114,17 @@ def matched(
         _image(canvas, own, up, intrinsics, smallest_m, matching, rng)
         for canvas, own in ((left, own_from_camera), (right, own_from_camera @ aside))
     ]
-    found = _disparity(images[0], images[1], matching, most=FINER * (near - shift) + 8)
-    inside = np.s_[PAD_PX : PAD_PX + window.height, PAD_PX : PAD_PX + window.width]
+    found = _disparity(images[0], images[1], matching, disparities)
+    inside = np.s_[pad : pad + window.height, pad : pad + window.width]
     disparity = np.where(found > 0, found + shift, 0)[inside]
     columns = np.arange(window.u0, window.u0 + window.width)[None, :]
     seen = (disparity > 0.5) & (columns - disparity >= 0)
     units = np.rint(strength / np.where(seen, disparity, 1.0) / unit_m)
     return np.where(seen & (units < 65535), units, 0).astype(np.uint16)
+
+
+def _padded(window: Window, pad: int) -> Window:
+    return Window(window.u0 - pad, window.v0 - pad, window.height + 2 * pad, window.width + 2 * pad)
 
 
 def _image(
@@ -145,9 +157,9 @@ def _image(
 
 
 def _disparity(
-    left: NDArray[np.uint8], right: NDArray[np.uint8], matching: Matching, *, most: float
+    left: NDArray[np.uint8], right: NDArray[np.uint8], matching: Matching, disparities: int
 ) -> NDArray[np.float64]:
-    """(h, w) disparity in pixels, 0 where nothing matches; fine ones of up to `most` are looked for."""
+    """(h, w) disparity in pixels, 0 where nothing matches; so many fine ones are looked for."""
     fine = [cv2.resize(image, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_CUBIC) for image in (left, right)]
     stereo: cv2.StereoMatcher
     if matching.semi_global:
@@ -164,7 +176,7 @@ def _disparity(
         windows.setUniquenessRatio(matching.unlike_percent)
         stereo.setBlockSize(matching.window_px)
     stereo.setMinDisparity(0)
-    stereo.setNumDisparities(16 * max(1, int(np.ceil(most / 16))))
+    stereo.setNumDisparities(disparities)
     stereo.setDisp12MaxDiff(2)
     stereo.setSpeckleWindowSize(80)
     stereo.setSpeckleRange(2)

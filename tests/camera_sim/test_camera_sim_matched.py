@@ -10,10 +10,11 @@ import pytest
 
 from camera_sim.sim.belt_scenes import random_belt_views
 from camera_sim.sim.drift import draw_drift
-from camera_sim.sim.matched import Matching, draw_matching
+from camera_sim.sim.matched import Matching, draw_matching, matched
 from camera_sim.sim.meshes import rotation_about
-from camera_sim.sim.optics import BASELINE_M, D405_848
+from camera_sim.sim.optics import BASELINE_M, D405_848, D405_1280
 from camera_sim.sim.presets import EASY_PRESET, MATCHED_PRESET
+from camera_sim.sim.raster import Canvas, Window, canvas_over
 from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources
 from camera_sim.sim.stereo import EASY
@@ -21,9 +22,10 @@ from camera_sim.sim.views import SimulatedView, ViewPlan, ViewSimulator
 from camera_sim.sim.world import own_frames, render, rigid_between
 from camera_sim.sim.worse import NOISE, worsened
 from conveyor.errors import InputError
-from conveyor.geometry import transform_points
+from conveyor.geometry import straight_down_belt_from_camera, transform_points
 from conveyor.messages import Frame
 
+SEED = 11
 CLEAR = Matching(contrast=0.3, noise=1.0, texture=4)
 
 
@@ -145,6 +147,35 @@ def test_single_views_are_of_such_cameras_and_repeat(tmp_path: Path) -> None:
     for view in made:
         top_m = view.belt_distance_m - view.depth[view.depth > 0].min() * view.depth_scale_m
         assert 0.01 < top_m < 0.12
+
+
+@pytest.mark.parametrize("semi_global", [False, True])
+def test_the_left_of_a_window_is_matched_however_wide_the_baseline(semi_global: bool) -> None:
+    """A matcher sees nothing as far from the left as the disparities are that it looks for: here 33 pixels."""
+    k, belt_m, top_m = D405_1280.intrinsics, 0.345, 0.075
+    matching = replace(CLEAR, baseline_m=0.055, semi_global=semi_global)
+
+    def show(aside_m: float, window: Window) -> Canvas:
+        depth_m = np.full((window.height, window.width), belt_m, np.float32)
+        first, last = (round(k.cx + k.fx * (x_m - aside_m) / (belt_m - top_m)) - window.u0 for x_m in (-0.02, 0.02))
+        depth_m[:, max(first, 0) : max(last, 0)] = belt_m - top_m
+        return canvas_over(depth_m, window)
+
+    window = Window(round(k.cx - k.fx * 0.02 / (belt_m - top_m)), 300, 80, 90)
+    depth = matched(
+        show,
+        np.array([straight_down_belt_from_camera(belt_m)]),
+        up=np.array([0.0, 0.0, -1.0]),
+        belt_m=belt_m,
+        intrinsics=k,
+        window=window,
+        unit_m=0.0001,
+        matching=matching,
+        rng=np.random.default_rng(SEED),
+    )
+    seen = depth[:, 4:10]
+    assert (seen > 0).mean() > 0.9, f"seed {SEED}"
+    assert np.median(seen[seen > 0]) * 0.0001 == pytest.approx(belt_m - top_m, abs=0.0005), f"seed {SEED}"
 
 
 def test_belts_for_the_classifier_have_them_on_request() -> None:
