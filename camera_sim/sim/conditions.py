@@ -13,7 +13,8 @@ from numpy.random import Generator
 
 from camera_sim.sim.cultivars import Stock, draw_stock
 from camera_sim.sim.lowering import typical_sink_m
-from camera_sim.sim.matched import draw_matching
+from camera_sim.sim.matched import Matching
+from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.presets import HARSH_PRESET, MATCHED_PRESET, PRESETS, Preset
 from camera_sim.sim.rods import Rods
 from camera_sim.sim.stereo import StereoNoise
@@ -148,6 +149,20 @@ def draw_conditions(name: str, rng: Generator) -> Conditions:
         heave_hz=float(rng.uniform(*HEAVE_HZ)),
         soil_m=float(rng.uniform(*SOIL_M)),
         local_px=local_px,
+    )
+
+
+def draw_matching(rng: Generator) -> Matching:
+    """A camera of 'matched': most with a D405's baseline, the others with up to three times it."""
+    return Matching(
+        baseline_m=BASELINE_M if rng.random() < 0.6 else float(rng.uniform(0.025, 0.055)),
+        window_px=int(rng.choice(np.array([9, 11, 13, 15, 17, 21, 25]))),
+        semi_global=bool(rng.random() < 0.35),
+        unlike_percent=int(rng.integers(3, 16)),
+        contrast=_log_uniform(rng, (0.10, 0.40)),
+        noise=float(rng.uniform(0.7, 2.5)),
+        mark_px=float(rng.uniform(1.3, 2.6)),
+        texture=int(rng.integers(2**31)),
     )
 
 

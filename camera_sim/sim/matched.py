@@ -63,20 +63,6 @@ class Matching:
     texture: int = 0
 
 
-def draw_matching(rng: Generator) -> Matching:
-    """A camera of this kind: most with a D405's baseline, the others with up to three times it."""
-    return Matching(
-        baseline_m=BASELINE_M if rng.random() < 0.6 else float(rng.uniform(0.025, 0.055)),
-        window_px=int(rng.choice(np.array([9, 11, 13, 15, 17, 21, 25]))),
-        semi_global=bool(rng.random() < 0.35),
-        unlike_percent=int(rng.integers(3, 16)),
-        contrast=float(np.exp(rng.uniform(np.log(0.10), np.log(0.4)))),
-        noise=float(rng.uniform(0.7, 2.5)),
-        mark_px=float(rng.uniform(1.3, 2.6)),
-        texture=int(rng.integers(2**31)),
-    )
-
-
 def matched(
     show: Callable[[float, Window], Canvas],
     own_from_camera: NDArray[np.float64],

@@ -30,7 +30,7 @@ from camera_sim.sim.view_setting import (
     draw_setting,
 )
 from camera_sim.sim.view_truth import Pose, Rim, pose_of, rim_of
-from camera_sim.sim.world import rigid_between
+from camera_sim.sim.world import rigid_between, to_the_right
 from conveyor.geometry import Intrinsics, inverse_rigid, straight_down_belt_from_camera, transform_points
 
 __all__ = ["SimulatedView", "ViewPlan", "ViewSimulator"]
@@ -215,8 +215,7 @@ class _Scene:
 
     def seen(self, aside_m: float, window: Window) -> Canvas:
         """What an imager so far to the right of the camera sees of a window; bodies are 1, 2."""
-        belt_from_camera = self.belt_from_camera.copy()
-        belt_from_camera[:3, 3] += belt_from_camera[:3, 0] * aside_m
+        belt_from_camera = to_the_right(self.belt_from_camera, aside_m)
         camera_from_belt = inverse_rigid(belt_from_camera)
         canvas = _background(self.setting, window, belt_from_camera, self.travel_m)
         for number, (vertices, faces) in enumerate(self.bodies, start=1):

@@ -154,10 +154,7 @@ def render(
     k = camera.optics.intrinsics
     if window is not None:
         k = Intrinsics(window.width, window.height, k.fx, k.fy, k.cx - window.u0, k.cy - window.v0)
-    belt_from_camera = heaved(world, camera, time_s)
-    if aside_m:
-        belt_from_camera = belt_from_camera.copy()
-        belt_from_camera[:3, 3] += belt_from_camera[:3, 0] * aside_m
+    belt_from_camera = to_the_right(heaved(world, camera, time_s), aside_m)
     camera_from_belt = inverse_rigid(belt_from_camera)
     depth = belt_depth(
         world.belt,
@@ -180,6 +177,13 @@ def render(
     for body in world.fixed:
         draw(canvas, transform_points(camera_from_belt, body.vertices), body.faces, intrinsics=k, instance=body.body_id)
     return canvas if window is None else replace(canvas, window=window)
+
+
+def to_the_right(belt_from_camera: NDArray[np.float64], aside_m: float) -> NDArray[np.float64]:
+    """(4, 4) of an imager so far to the right of the camera."""
+    moved = belt_from_camera.copy()
+    moved[:3, 3] += moved[:3, 0] * aside_m
+    return moved
 
 
 def heaved(world: World, camera: CameraPose, time_s: float) -> NDArray[np.float64]:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from camera_sim.sim.belt_scenes import random_belt_views
+from camera_sim.sim.conditions import draw_matching
 from camera_sim.sim.drift import draw_drift
-from camera_sim.sim.matched import Matching, draw_matching, matched
+from camera_sim.sim.matched import Matching, matched
 from camera_sim.sim.meshes import rotation_about
 from camera_sim.sim.optics import BASELINE_M, D405_848, D405_1280
 from camera_sim.sim.presets import EASY_PRESET, MATCHED_PRESET
