@@ -8,6 +8,8 @@ OFF_MM = 6.0
 """Farther from where it is given the belt seen is an alarm."""
 LEANS_DEG = 1.0
 """So many degrees between the belt seen and the belt given are one."""
+TAKEN_BACK = ("outline_grown_px", "farther_than_travel", "travel_not_told", "gauge_unseen")
+"""Findings of what was seen so far: a few tubers say too much, and more of them put it right."""
 
 
 def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
@@ -81,6 +83,11 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     if cause is not None:
         found["gauge_" + cause] = _gauge_finding(camera, cause, gauges)
     return found
+
+
+def found_so_far(before: Mapping[str, str], now: Mapping[str, str]) -> dict[str, str]:
+    """The findings of a camera up to now: those of before stay said, but for what more tubers took back."""
+    return {key: text for key, text in before.items() if key not in TAKEN_BACK} | dict(now)
 
 
 def belt_off(gauges: Mapping[str, float]) -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aggregator.ledger.files import write_whole
-from conveyor.belt_findings import belt_findings
+from conveyor.belt_findings import belt_findings, found_so_far
 from conveyor.config import REPLAY_NAME, LineConfig, dump_toml, load_config, parse_config
 from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, OutputError, StorageError, TuberlineError
@@ -326,13 +326,13 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
     )
     with observing as observer, showing as table:
         moved, last = supervisor.own_time_s, -1
-        findings: dict[str, str] = {}
+        findings: dict[str, dict[str, str]] = {}
         while not supervisor.finished("aggregator"):
             _raise_failures(supervisor, out)
             nodes = observer.nodes()
             for name, counters in nodes.items():
                 told = belt_findings(counters.name, counters.gauges) if counters.role == "segmenter" else {}
-                findings |= {f"{name} {finding}": text for finding, text in told.items()}
+                findings[name] = found_so_far(findings.get(name, {}), told)
             done = sum(n.count("frames_processed") + n.count("entries_applied") for n in nodes.values())
             if done != last:
                 moved, last = supervisor.own_time_s, done
@@ -342,7 +342,7 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
             if table is not None:
                 table(observer.totals(), nodes, observer.alive())
             time.sleep(0.1)
-        return list(findings.values())
+        return [text for found in findings.values() for text in found.values()]
 
 
 def _start_limit_s(supervisor: Supervisor, observer: Observer) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from segmenter_scene import SMALL, Body, Scene, scattered, tilted
 
-from conveyor.belt_findings import belt_findings
+from conveyor.belt_findings import belt_findings, found_so_far
 from conveyor.camera_place import CameraPlace
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Frame
@@ -45,6 +45,15 @@ def test_a_calibrated_belt_raises_nothing() -> None:
         assert belt_findings("front", levels) == {}
         assert abs(levels["belt_drift_mm"]) < 1
         assert levels["belt_tilt_off_deg"] < 0.3
+
+
+def test_what_a_few_tubers_said_of_outlines_is_taken_back_and_a_belt_that_was_off_is_not() -> None:
+    early = belt_findings("front", {"belt_alarm": 1.0, "belt_drift_mm": 15.0, "outline_grown_px": 1.7})
+    assert list(early) == ["belt_alarm", "outline_grown_px"]
+    so_far = found_so_far(early, belt_findings("front", {"outline_grown_px": 2.1}))
+    assert list(so_far) == ["belt_alarm", "outline_grown_px"]
+    assert "2.1 px" in so_far["outline_grown_px"]
+    assert list(found_so_far(so_far, belt_findings("front", {}))) == ["belt_alarm"]
 
 
 @pytest.mark.parametrize(("given_m", "drift_mm", "word"), [(0.475, -15, "nearer"), (0.445, 15, "farther")])
