@@ -89,11 +89,14 @@ class DisturbedLine:
             os.kill(self.pid(process), number)
 
     def restart(self, spec: ProcessSpec, *, after_s: float) -> None:
-        """SIGTERM, wait until it left, and start it again after a while, as the restart of its unit does."""
+        """SIGTERM, wait until it left, and start it again after a while, as the restart of its unit does. It must be
+        alone in its supervisor, which starts what somebody else ended.
+        """
         sys.stdout.write(f"restart {spec.name}\n")
-        before = next(s for s in self.watched if spec.name in s.restarts)
-        self.signal(spec.name, signal.SIGTERM)
-        self.wait(lambda: before.finished(spec.name), what=f"the end of {spec.name}")
+        (before,) = (s for s in self.watched if spec.name in s.restarts)
+        assert list(before.restarts) == [spec.name]
+        before.stop()
+        self.watched.remove(before)
         self.go_on(after_s)
         self.watched.append(self._later.enter_context(Supervisor([spec])))
 
