@@ -146,6 +146,13 @@ class Sidecar(_Part):
         return rule if rule.farthest_m is not None else replace(rule, farthest_m=self.belt_distance_m.high)
 
     @property
+    def calibrated_belt_m(self) -> Range:
+        """Camera to belt: what the training saw and, of that, no farther away than intervals were calibrated."""
+        trained, rule = self.belt_distance_m, self.interval_rule
+        farthest_m = trained.high if rule is None or rule.farthest_m is None else rule.farthest_m
+        return Range(low=trained.low, high=max(trained.low, min(trained.high, farthest_m)))
+
+    @property
     def fitted_volume_rule(self) -> VolumeRule | None:
         """The volume rule fitted with these weights, if there is one."""
         return VolumeRule.from_json(self.volume_rule) if self.volume_rule else None

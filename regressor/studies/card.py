@@ -75,10 +75,14 @@ def _notes(path: Path) -> str:
 
 def _takes_and_gives(sidecar: Sidecar) -> str:
     belt, length, weight = sidecar.belt_distance_m, sidecar.length_mm, sidecar.weight_g
+    nearer = sidecar.calibrated_belt_m.high
+    farther = (
+        f", and so it is from {nearer:.3f} m on, where intervals were not calibrated" if nearer < belt.high else ""
+    )
     takes = (
         f"One view of one tuber: the depth inside its mask, camera to belt {belt.low:.3f} to {belt.high:.3f} m, "
         f"outline {length.low:.0f} to {length.high:.0f} mm, {weight.low:.0f} to {weight.high:.0f} g; outside of "
-        "these a weight is flagged. Height above the belt is clamped at "
+        f"these a weight is flagged{farther}. Height above the belt is clamped at "
         f"{1000 * sidecar.input.max_height_m:.0f} mm (the paper: 80). "
         "It gives grams with a conformal 90 % interval whose width follows the view."
     )

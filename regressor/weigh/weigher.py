@@ -69,11 +69,11 @@ class Weigher:
     """One set of weights, ready to weigh; without a network it weighs by volume. On a device: one instance per thread.
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
-    weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
-    visible volume says otherwise), 'camera_unlike' (noise and holes of a poor camera), 'outline_grown' (its camera let
-    the outline grow; it was cut back), 'rows_missing' (its camera left out rows or columns; they were filled),
-    'in_parts' (its outline falls into parts, weighed together), 'bfloat16', 'centroids_16' and 'batched' (not computed
-    in the exact form).
+    weights' limit), 'belt_distance' (outside what the training saw, or farther away than intervals were calibrated),
+    'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the visible volume says otherwise),
+    'camera_unlike' (noise and holes of a poor camera), 'outline_grown' (its camera let the outline grow; it was cut
+    back), 'rows_missing' (its camera left out rows or columns; they were filled), 'in_parts' (its outline falls into
+    parts, weighed together), 'bfloat16', 'centroids_16' and 'batched' (not computed in the exact form).
     """
 
     def __init__(self, state: State | None, sidecar: Sidecar, form: Form = EXACT, *, device: str | None = None) -> None:
@@ -96,6 +96,7 @@ class Weigher:
         self.state = state
         self._network = FastPointRaft(state, form) if state is not None else None
         self._interval = sidecar.interval_rule
+        self._calibrated_belt_m = sidecar.calibrated_belt_m
         self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
         self._blend = sidecar.blend_rule
         self._group = _grouping(sidecar, form)
@@ -226,7 +227,7 @@ class Weigher:
         sidecar, factor = self.sidecar, self.sidecar.disagreement_factor
         checks = {
             "height_clamped": network_g is None or 0.0 <= cloud.height_m <= sidecar.input.max_height_m,
-            BELT_DISTANCE: sidecar.belt_distance_m.holds(cloud.belt_distance_m),
+            BELT_DISTANCE: self._calibrated_belt_m.holds(cloud.belt_distance_m),
             "size": sidecar.length_mm.holds(cloud.surface.length_mm),
             "weight": sidecar.weight_g.holds(by_volume_g if network_g is None else network_g),
             "volume_disagrees": network_g is None or 1 / factor <= network_g / by_volume_g <= factor,

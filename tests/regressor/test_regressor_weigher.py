@@ -186,6 +186,8 @@ def test_farther_away_than_calibrated_an_interval_grows_with_the_distance(weighe
     ):
         far = Weigher(state, sidecar.model_copy(update=told)).weigh(cloud)
         assert far.weight_g == near.weight_g
+        assert far.flags == ("belt_distance",)
+        assert near.flags == ()
         wider = 1.4**FARTHER
         assert far.weight_g - far.low_g == pytest.approx(wider * (near.weight_g - near.low_g), abs=0.01)
         assert far.high_g - far.weight_g == pytest.approx(wider * (near.high_g - near.weight_g), abs=0.01)
