@@ -32,11 +32,21 @@ WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --v
 WORLDS_WORDS = (
     "A recording is 25 tubers that share camera, belt and cultivar (those of `exact` have their own); its interval is "
     "as wide as the ledger states a load's before any ticket, with the resting level as well known as the pack says. "
-    "The seeds were fixed before the packs were made, choices were made on seeds 71701 to 71705, and each pack was "
-    "judged once with these weights; all but `matched` had been judged with those before them. Half of the recordings "
-    "of `harsh` are under soil, which weights take for tuber and the truth does not; its clean tubers have a row and a "
-    "column of their own. `exact` is no harvester's world: a camera that only rounds, and half of the shapes of no "
-    "cultivar. In `matched` a stereo matcher makes the depth of two images, another one in each recording."
+    "The seeds were fixed before the packs were made, choices were made on seeds 71701 to 71713, and each pack was "
+    "judged once with these weights, and once with those before them. Half of the recordings of `harsh` are under "
+    "soil, which weights take for tuber and the truth does not; its clean tubers have a row and a column of their own. "
+    "`exact` is no harvester's world: a camera that only rounds, and half of the shapes of no cultivar. In `matched` a "
+    "stereo matcher makes the depth of two images, another one in each recording."
+)
+
+FAR = " ".join(f"--distances {metres}" for metres in (0.6, 0.7, 0.8, 0.9, 1.0))
+FAR_COMMANDS = f"""tuberline simulate-views --out far/easy --tubers 1000 --views 2 --seed 76811 --preset easy {FAR}
+    # the same with the seeds 76812 to 76815: far/field, far/harsh (2000 tubers), far/exact and far/matched
+    tuberline evaluate --data far --by "belt distance" --out far-belts"""
+FAR_WORDS = (
+    "The belt is 0.6 to 1 m away for six tubers in ten, and nearer for the others. All cameras but some of `matched` "
+    "have a D405's baseline of 18 mm, which is made for less: 1 m away a tenth of a pixel is 8 mm at 1280x720 and "
+    "13 mm at 848x480. The seeds were fixed before the packs were made, and no choice was made on them."
 )
 
 
@@ -45,6 +55,7 @@ def evaluation_page(
     easy: Path,
     *,
     worlds: Path | None = None,
+    far: Path | None = None,
     one_season: Path | None = None,
     ablation: Path | None,
     drift: Path | None,
@@ -62,7 +73,9 @@ def evaluation_page(
     for name, folder in (("field", field), ("easy", easy)):
         parts.append(_section(name, f"tuberline evaluate --data PACK --out {name}", _evaluation(folder, name)))
     if worlds:
-        parts.append(_section("By world and class", WORLDS_COMMANDS, _worlds(worlds)))
+        parts.append(_section("By world and class", WORLDS_COMMANDS, _worlds(worlds, WORLDS_WORDS)))
+    if far:
+        parts.append(_section("Belts farther away", FAR_COMMANDS, _worlds(far, FAR_WORDS)))
     if one_season:
         body, _, _ = _evaluation(one_season, "one season").partition("\n### ")
         parts.append(_section("Field, one season", "tuberline evaluate --data PACK --season 2023 --out season", body))
@@ -92,6 +105,7 @@ def saved_page(saved: Saved, *, image: str | None) -> str:
         saved.folder / "field",
         saved.folder / "easy",
         worlds=saved.part("worlds"),
+        far=saved.part("far"),
         one_season=saved.part("season"),
         ablation=saved.part("ablation"),
         drift=saved.part("drift"),
@@ -109,12 +123,12 @@ def _evaluation(folder: Path, name: str) -> str:
     return body.replace("\n## As weighed, by group", f"\n### {name}: as weighed, by group")
 
 
-def _worlds(folder: Path) -> str:
-    """The tables of `evaluate --by all`, as its metrics.json has them; poses, rims and worlds are the simulator's."""
+def _worlds(folder: Path, words: str) -> str:
+    """The tables of `evaluate --by`, as its metrics.json has them; poses, rims and worlds are the simulator's."""
     measured = read_json(folder / "metrics.json")
     presets = [worlds.PresetRow(**row) for row in measured["presets"]]
     classes = [worlds.ClassRow(**row) for row in measured["classes"]]
-    return f"Weights `{measured['model']}`. {WORLDS_WORDS}\n\n{worlds.markdown(presets, classes)}"
+    return f"Weights `{measured['model']}`. {words}\n\n{worlds.markdown(presets, classes)}"
 
 
 def _drift(folder: Path) -> str:

@@ -269,11 +269,11 @@ def test_a_network_in_other_units_is_refused_with_the_numbers(tmp_path: Path) ->
 
 
 def test_weights_for_another_camera_height_are_refused() -> None:
-    high = parse_config({"cameras": {"left": {"belt_distance_m": 0.345}, "tall": {"belt_distance_m": 0.8}}}, where="t")
-    with pytest.raises(InputError, match=r"camera 'tall': it hangs 0.800 m over the belt, they were trained for 0.280"):
+    high = parse_config({"cameras": {"left": {"belt_distance_m": 0.345}, "tall": {"belt_distance_m": 1.2}}}, where="t")
+    with pytest.raises(InputError, match=r"camera 'tall': it hangs 1.200 m over the belt, they were trained for 0.280"):
         check_weights(Weigher.load(), high)
-    posed = {"belt_from_camera": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]]}
-    with pytest.raises(InputError, match=r"camera 'tall': it hangs 0.800 m .* or fix cameras.tall.belt_from_"):
+    posed = {"belt_from_camera": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 1.2], [0, 0, 0, 1]]}
+    with pytest.raises(InputError, match=r"camera 'tall': it hangs 1.200 m .* or fix cameras.tall.belt_from_"):
         check_weights(Weigher.load(), parse_config({"cameras": {"tall": posed}}, where="t"))
 
 

@@ -43,7 +43,7 @@ class Weight:
         network_g: what PointRAFT alone says, grams; None where it was not asked or failed.
         volume_g: what the visible volume alone says, grams.
         method: 'pointraft' (the network with the volume rule), or 'volume'.
-        model: name and digest of the weights, e.g. 'tuberline-sim@b540e6ed'.
+        model: name and digest of the weights, e.g. 'tuberline-sim@be603e39'.
         flags: what is unusual: 'few_points', 'extent', 'height_clamped', 'belt_distance', 'size', 'weight',
             'volume_disagrees', 'camera_unlike', 'rows_missing', 'in_parts', 'network_failed', 'cut' (at the image's
             border: a part of it may lie outside).

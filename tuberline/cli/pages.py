@@ -27,7 +27,8 @@ def evaluation_page(
     out
         The Markdown file to write.
     results
-        Folder of all results by name: field, easy, worlds, season, ablation, drift, speed; instead of one option each.
+        Folder of all results by name: field, easy, worlds, far, season, ablation, drift, speed; instead of one option
+        each.
     field
         Folder of `tuberline evaluate` on field views.
     easy
