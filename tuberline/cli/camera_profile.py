@@ -67,7 +67,7 @@ def profile(
             trained,
             frames=frames,
             baseline_m=baseline_m,
-            belt_m=(sidecar.belt_distance_m.low, sidecar.belt_distance_m.high),
+            belt_m=(sidecar.calibrated_belt_m.low, sidecar.calibrated_belt_m.high),
             on_frame=on_frame,
         )
     if out is not None:
