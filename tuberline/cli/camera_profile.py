@@ -59,7 +59,7 @@ def profile(
         check_picture(out, option="--out")
     sidecar = read_weights(weights or SHIPPED)[1]
     tell_doubts(recording, masks=False)
-    trained = camera_range(sidecar.worlds)
+    trained, belt = camera_range(sidecar.worlds), sidecar.calibrated_belt_m
     baseline_m = None if baseline_mm is None else baseline_mm / 1000
     with frames_bar() as on_frame:
         cameras = profile_recording(
@@ -67,7 +67,7 @@ def profile(
             trained,
             frames=frames,
             baseline_m=baseline_m,
-            belt_m=(sidecar.calibrated_belt_m.low, sidecar.calibrated_belt_m.high),
+            belt_m=(belt.low, belt.high),
             on_frame=on_frame,
         )
     if out is not None:
