@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
@@ -16,6 +16,8 @@ from camera_sim.sim.stereo_faults import bowed_field
 
 SEASON_DISTANCES_M = (0.345, 0.460, 0.465)
 TUBERS_PER_RECORDING = 25
+BELT_ERRORS = (0.8, 0.6)
+"""Shares of a belt's standard deviation, of what all tubers of a recording have in common and of each one's own."""
 BY_RECORDING = ("harsh", "worlds", "matched")
 """Presets whose camera and belt, and but for 'matched' cultivar, are shared by all tubers of a recording."""
 
@@ -28,6 +30,8 @@ class ViewPlan:
         preset: 'easy', 'field', 'harsh', 'exact', 'matched', 'mixed' (easy or field by tuber) or 'worlds' (easy, field
             or harsh by recording).
         optics: None is either D405 resolution.
+        belt_sds_m: how well belts are known, standard deviations, of which each recording has one; without any as the
+            preset has it.
     """
 
     seed: int
@@ -38,6 +42,7 @@ class ViewPlan:
     distance_range_m: tuple[float, float] | None = None
     fine_unit_share: float = 0.0
     clipped_share: float = 0.03
+    belt_sds_m: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +51,7 @@ class Recording:
 
     Attributes:
         session_error: of the believed belt distance, in standard deviations of the preset's.
+        belt_sd_m: how well the belt distance is known; None: as the preset has it.
         conditions, optics, unit_m, distance_m, belt, bow: None where each tuber has its own.
     """
 
@@ -58,6 +64,7 @@ class Recording:
     distance_m: float = 0.0
     belt: Belt | None = None
     bow: Field | None = None
+    belt_sd_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +98,13 @@ def draw_recording(plan: ViewPlan, number: int) -> Recording:
     """Recording `number` of a plan, the same whatever was drawn before."""
     session_error = float(np.random.default_rng([plan.seed, 2, number]).standard_normal())
     rng = np.random.default_rng([plan.seed, 3, number])
+    belt_sd_m = None
+    if plan.belt_sds_m:
+        belt_sd_m = float(np.random.default_rng([plan.seed, 4, number]).choice(np.asarray(plan.belt_sds_m)))
     if plan.preset not in BY_RECORDING:
         flat = Conditions(preset_named(plan.preset, rng))
-        return Recording(number, session_error, draw_stated(flat, rng))
-    conditions = draw_conditions(plan.preset, rng)
+        return Recording(number, session_error, draw_stated(flat, rng), belt_sd_m=belt_sd_m)
+    conditions = known_to(draw_conditions(plan.preset, rng), belt_sd_m)
     stated = draw_stated(conditions, rng)
     optics, distance_m, unit_m = _optics(plan, rng), _distance_m(plan, rng), _unit_m(plan, rng)
     soil_m = conditions.soil_m if conditions.soil_m is not None else float(rng.choice(np.array([8e-4, 2e-3])))
@@ -102,7 +112,16 @@ def draw_recording(plan: ViewPlan, number: int) -> Recording:
     bow = None
     if conditions.preset.noise.bow_px > 0:
         bow = bowed_field(rng, height=optics.intrinsics.height, width=optics.intrinsics.width)
-    return Recording(number, session_error, stated, conditions, optics, unit_m, distance_m, belt, bow)
+    return Recording(number, session_error, stated, conditions, optics, unit_m, distance_m, belt, bow, belt_sd_m)
+
+
+def known_to(conditions: Conditions, belt_sd_m: float | None) -> Conditions:
+    """The same where the belt distance is known to `belt_sd_m`, most of it shared by the recording; None: as it is."""
+    if belt_sd_m is None:
+        return conditions
+    session_m, tuber_m = BELT_ERRORS[0] * belt_sd_m, BELT_ERRORS[1] * belt_sd_m
+    preset = replace(conditions.preset, belt_error_session_m=session_m, belt_error_tuber_m=tuber_m)
+    return replace(conditions, preset=preset)
 
 
 def draw_setting(plan: ViewPlan, recording: Recording, belts: list[Belt], rng: Generator) -> Setting:
@@ -112,7 +131,7 @@ def draw_setting(plan: ViewPlan, recording: Recording, belts: list[Belt], rng: G
         believed_m, belt, bow = recording.distance_m, recording.belt, recording.bow
         error_m = _belt_error_m(conditions.preset, recording.session_error, rng)
     else:
-        conditions = Conditions(preset_named(plan.preset, rng))
+        conditions = known_to(Conditions(preset_named(plan.preset, rng)), recording.belt_sd_m)
         optics, believed_m = _optics(plan, rng), _distance_m(plan, rng)
         error_m = _belt_error_m(conditions.preset, recording.session_error, rng)
         unit_m = _unit_m(plan, rng)

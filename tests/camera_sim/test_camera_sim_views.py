@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from camera_sim.sim.optics import D405_1280
+from camera_sim.sim.view_setting import draw_recording, draw_setting
 from camera_sim.sim.views import ViewPlan, ViewSimulator
 from conveyor.errors import InputError
 from tuberline.cli.simulate_views import simulate_views
@@ -81,6 +83,29 @@ def test_31_views_ride_through_the_image() -> None:
     assert rows[-1] > 520
 
 
+def test_belts_are_off_by_what_is_said_of_them() -> None:
+    """0.5 or 3 mm, drawn by recording; camera, cultivar and belt are those of the plan without it."""
+    sds_m = (0.0005, 0.003)
+    plan = ViewPlan(seed=31, views_per_tuber=1, preset="worlds", belt_sds_m=sds_m)
+    errors: dict[float, list[float]] = {sd_m: [] for sd_m in sds_m}
+    for number in range(400):
+        recording, plain = draw_recording(plan, number), draw_recording(replace(plan, belt_sds_m=()), number)
+        setting, without = (
+            draw_setting(plan, shared, [], np.random.default_rng(number)) for shared in (recording, plain)
+        )
+        assert (setting.optics, setting.believed_distance_m) == (without.optics, without.believed_distance_m)
+        assert setting.conditions.stock == without.conditions.stock
+        assert setting.preset.noise == without.preset.noise
+        sd_m = setting.preset.belt_sd_m
+        errors[min(sds_m, key=lambda said_m: abs(said_m - sd_m))].append(
+            (setting.believed_distance_m - setting.seen_distance_m) / sd_m
+        )
+    for of_one in errors.values():
+        assert len(of_one) > 150
+        assert abs(np.mean(of_one)) < 0.25
+        assert np.std(of_one) == pytest.approx(1.0, abs=0.15)
+
+
 def test_what_cannot_be_is_refused(pack: Path) -> None:
     with pytest.raises(InputError, match="already holds views"):
         simulate_views(out=pack)
@@ -88,3 +113,5 @@ def test_what_cannot_be_is_refused(pack: Path) -> None:
         simulate_views(out=pack.parent / "other", tubers=0)
     with pytest.raises(InputError, match=r"0.2 to 1.5 m"):
         simulate_views(out=pack.parent / "other", distances=(46.0,))
+    with pytest.raises(InputError, match=r"--belt-sd-mm \(0\.0,\): standard deviations of 0\.1 to 10 mm"):
+        simulate_views(out=pack.parent / "other", belt_sd_mm=(0.0,))

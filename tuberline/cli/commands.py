@@ -94,6 +94,10 @@ LAB: Commands = {
     "evaluation-page": ("tuberline.cli.pages:evaluation_page", "Make the page of results from saved ones."),
     "model-card": ("tuberline.cli.pages:model_card", "Make the card of weights from saved results."),
     "simulate-views": ("tuberline.cli.simulate_views:simulate_views", "Make single views with known weights."),
+    "simulate-line-views": (
+        "tuberline.cli.simulate_line_views:simulate_line_views",
+        "Make views as a line cuts them, with known weights.",
+    ),
     "simulate-belts": ("tuberline.cli.simulate_belts:simulate_belts", "Make labelled frames for train-classifier."),
     "make-patches": ("tuberline.cli.train_classifier:make_patches", "Make the patches train-classifier learns from."),
     "train-classifier": (

@@ -23,6 +23,7 @@ def simulate_views(
     preset: Preset = "mixed",
     camera: ViewCamera = "mixed",
     distances: tuple[float, ...] = (0.345, 0.460, 0.465),
+    belt_sd_mm: tuple[float, ...] = (),
     layout: Literal["pack", "potatotwin"] = "pack",
     force: bool = False,
 ) -> None:
@@ -47,6 +48,9 @@ def simulate_views(
         Camera resolution; 'mixed' takes both and, in 4 of 10 cases, any belt distance from 0.30 to 0.55 m.
     distances
         Belt distances in metres to choose from.
+    belt_sd_mm
+        How well belts are known, standard deviations in mm to choose from by recording; views say so, and belts are off
+        by as much. Without any it is the preset's: 0.5 to 2.5 mm.
     layout
         pack: `views-*.npz` and `meta.json`. potatotwin: images, clouds and tables as in the 3DPotatoTwin data set, of
         one camera (d405-1280 where none is named), split 60/20/20 into train, val and test.
@@ -64,6 +68,8 @@ def simulate_views(
         raise InputError(f"--tubers {tubers} --views {views}: both must be at least 1")
     if not distances or not all(0.2 <= d <= 1.5 for d in distances):
         raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
+    if not all(0.1 <= sd <= 10 for sd in belt_sd_mm):
+        raise InputError(f"--belt-sd-mm {belt_sd_mm}: standard deviations of 0.1 to 10 mm are allowed")
     former = _former_views(out, force=force)
     if layout == "potatotwin" and camera == "mixed":
         camera = "d405-1280"
@@ -76,6 +82,7 @@ def simulate_views(
         distances_m=distances,
         distance_range_m=(0.30, 0.55) if mixed else None,
         fine_unit_share=0.2 if mixed else 0.0,
+        belt_sds_m=tuple(sd / 1000 for sd in belt_sd_mm),
     )
     with whole_output(out) as partial, progress_bar() as progress:
         task = progress.add_task("views", total=tubers)
