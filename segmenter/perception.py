@@ -93,10 +93,16 @@ class Perception:
     def classify(self, patch: Patch, *, limit: float) -> Answer | None:
         """What is believed of a track, which is refused below `limit`. Once per track: the prior learns from it.
 
-        None without a classifier, where a patch has too few observations, and where the answer is no number.
+        None without a classifier, where a patch has too few observations, where the answer is no number, and where so
+        many bodies look like clods that the classifier is not believed.
         """
         if self._classifier is None or patch.observations < LEAST_OBSERVATIONS:
             return None
         answer = believe(self._prior, self._classifier.answers(patch), noise_of(patch), limit=limit)
         self.unanswered += answer is None
-        return answer
+        return answer if self._prior.like_clods == 0 else None
+
+    @property
+    def like_clods(self) -> float:
+        """Share of the bodies that look like clods, where that is too many to believe any of it; else 0."""
+        return self._prior.like_clods

@@ -149,6 +149,7 @@ class Segmenter:
             "encoder_behind_m": self.encoder_behind_m,
             "load_torn_m": self.torn_m,
             "masks_merged": self.merged_masks,
+            "like_clods": self._perception.like_clods,
         }
 
     def _travel_gauge(self, running: BeltSegmenter) -> dict[str, float]:

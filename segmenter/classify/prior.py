@@ -49,6 +49,11 @@ USUAL, WIDTH, MOST_ADDED = 0.25, 0.2, 2.5
 """A share of them that is usual; by how much more most is added to all answers; and that, in log-odds."""
 NEWEST, FEW = 60, 5
 """Tracks that are looked at, and from how many on something is added, half of it at first."""
+MOST_LIKE, ENOUGH = 0.7, 20
+"""Share of the newest answers that may be for a clod, and how many of them are needed to say so: more is no belt that a
+camera was hung over but a camera that makes tubers look like clods. Belts with half as many clods as tubers have 0.36
+at most, those of the other world with fewer tubers than that 0.6; one before matched depth without any clod has 0.85
+(seen while this was chosen)."""
 LARGEST = 50.0
 """Log-odds beyond this say no more."""
 
@@ -82,6 +87,13 @@ class Prior:
         belief = _before() + self.said
         weight = np.exp(belief - belief.max())
         return float(weight @ _shares() / weight.sum())
+
+    @property
+    def like_clods(self) -> float:
+        """Share of the newest bodies that look like clods, where that is more than can be believed; else 0."""
+        count = len(self.newest)
+        share = sum(evidence < -MILD for evidence in self.newest) / max(count, 1)
+        return share if count >= ENOUGH and share > MOST_LIKE else 0.0
 
     @property
     def added(self) -> float:

@@ -100,6 +100,7 @@ def test_a_running_segmenter_is_believed() -> None:
         ("load_torn_m", {}, "the load jumped back 1.00 m"),
         ("encoder_coarse_m", {"encoder_coarse_m": 0.05}, "travel is told in steps of 50 mm"),
         ("masks_merged", {}, "a label of the given masks lies in several places apart"),
+        ("like_clods", {"like_clods": 0.85}, "85 % of the last bodies look like clods"),
     ],
 )
 def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, float], said: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from segmenter.classify import prior as prior_module
 from segmenter.classify.evidence import Evidence, PatchNoise, shrunk
-from segmenter.classify.prior import FEW, MILD, MOST_ADDED, Prior
+from segmenter.classify.prior import ENOUGH, FEW, MILD, MOST_ADDED, MOST_LIKE, NEWEST, Prior
 from segmenter.track.counting import CountSettings
 
 REFUSED_BELOW = CountSettings().reject_below
@@ -112,6 +112,20 @@ def test_what_is_added_grows_with_the_answers_in_the_gap_and_with_their_number()
     assert of_sixty[3] == 0  # a quarter is usual
     assert of_sixty[-1] == pytest.approx(MOST_ADDED * 60 / (60 + FEW))
     assert after([0.5] * 60 + [TUBER] * 60).added == 0  # the camera's lens was cleaned
+
+
+def test_more_clods_than_a_belt_can_carry_are_not_believed() -> None:
+    """It takes `ENOUGH` bodies to say so, and ends when tubers look like tubers again."""
+    assert after([CLOD] * (ENOUGH - 1)).like_clods == 0
+    camera = after([CLOD] * ENOUGH)
+    assert camera.like_clods == 1.0
+    for _ in range(NEWEST):
+        camera.learn(TUBER)
+    assert camera.like_clods == 0
+    of_ten = [after([CLOD] * 6 * n + [TUBER] * (60 - 6 * n)).like_clods for n in range(11)]
+    assert of_ten == [0] * 8 + [0.8, 0.9, 1.0], f"believed up to {MOST_LIKE}"
+    doubtful = [-MILD] * 60
+    assert after(doubtful).like_clods == 0, "weak answers say nothing"
 
 
 def test_the_same_tracks_in_the_same_order_say_the_same_to_the_bit() -> None:

@@ -21,6 +21,7 @@ from conveyor.errors import InputError
 from segmenter.classify.classifier import Classifier
 from segmenter.classify.network import PatchNetwork
 from segmenter.classify.patch import CHANNELS, Observation, Patch
+from segmenter.classify.prior import ENOUGH
 from segmenter.frame.instances import SplitSettings
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.pipeline import Settings
@@ -189,6 +190,27 @@ def test_a_classifier_that_says_no_number_teaches_the_belt_nothing(tmp_path: Pat
     export_net(Diverged(wholly=True), tmp_path / "never.onnx", empty)
     with pytest.raises(InputError, match=r"never\.onnx answers nan to an empty patch; a finite number is needed"):
         PatchNetwork(tmp_path / "never.onnx")
+
+
+class Contrary(torch.nn.Module):
+    """Every body is a clod."""
+
+    def forward(self, patch: torch.Tensor) -> torch.Tensor:
+        return 0 * patch[:, 2].sum(dim=(1, 2))[:, None] - 6.0
+
+
+def test_a_classifier_that_takes_a_whole_belt_for_clods_is_not_believed(tmp_path: Path) -> None:
+    """Before one simulated camera it refused 26 of 30 tubers, and went on so for as long as the belt ran."""
+    export_net(Contrary(), tmp_path / "net.onnx", torch.zeros(1, CHANNELS, 48, 48))
+    belt = SceneSettings("singulated", 58, ENOUGH + 6, PRESETS["easy"], fps=15.0)
+    record_scene(tmp_path / "belt", belt)
+    perception = PerceptionSettings(weights=tmp_path / "net.onnx")
+    (found,) = segment_recording(tmp_path / "belt", settings=Settings(perception=perception))
+    assert found.discarded["distractor"] == ENOUGH - 1, "the last of them is the one that shows it"
+    assert len(found.tracks) == 7
+    (text,) = found.findings
+    assert "100 % of the last bodies look like clods" in text
+    assert 'method = "classical"' in text
 
 
 def observations_of(sample: TrainingSample) -> list[Observation]:

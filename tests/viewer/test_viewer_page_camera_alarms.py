@@ -21,6 +21,7 @@ from viewer.page.alarms import alarms
         ({"load_torn_m": 0.37}, "Under camera left the load jumped back 0.37 m, as no belt does"),
         ({"encoder_coarse_m": 0.05}, "Camera left is told the belt's travel in steps of 50 mm"),
         ({"masks_merged": 3.0}, "The masks of camera left give several tubers one label"),
+        ({"like_clods": 0.85}, "Under camera left 85 % of the bodies look like clods, too many to believe"),
     ],
 )
 def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, float], said: str) -> None:

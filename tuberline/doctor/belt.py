@@ -21,8 +21,10 @@ OTHER_WAY = {
     "encoder_behind_m": "begin a new run, and look at the encoder's power and cable",
     "load_torn_m": "look at the camera's pictures (`tuberline watch`), or connect an encoder",
     "masks_merged": "a label of its own for each tuber, or ignore_masks in the line's file",
+    "like_clods": 'look at what lies there; method = "classical" in [segmenter] where it is tubers',
 }
-"""Levels of a load that moves otherwise than pose or encoder say, or counts as its masks say, and what to do."""
+"""Levels of a load that moves otherwise than pose or encoder say, or counts as its masks or classifier say, and what to
+do."""
 SEEN_TWICE = {
     "outline_grown_px": "a smaller matching window in the camera's settings",
     "farther_than_travel": "`tuberline calibrate bucket`, and the encoder over a few metres of belt",

@@ -90,6 +90,8 @@ def _tubers(segmenter: NodeState) -> Iterator[Found]:
     """What its tubers say of the camera: masks that merge them, outlines and distances that are off."""
     if segmenter.level("masks_merged"):
         yield "masks-merged", True, "alarm.camera.masks_merged", "todo.camera.masks_merged", {}
+    if like := segmenter.level("like_clods"):
+        yield "like-clods", True, "alarm.camera.like_clods", "todo.camera.like_clods", {"percent": 100 * like}
     if grown_px := segmenter.level("outline_grown_px"):
         yield "outline", False, "alarm.camera.outline_grown", "todo.camera.outline_grown", {"px": grown_px}
     if farther := segmenter.level("farther_than_travel"):
