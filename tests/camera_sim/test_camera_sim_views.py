@@ -115,3 +115,5 @@ def test_what_cannot_be_is_refused(pack: Path) -> None:
         simulate_views(out=pack.parent / "other", distances=(46.0,))
     with pytest.raises(InputError, match=r"--belt-sd-mm \(0\.0,\): standard deviations of 0\.1 to 10 mm"):
         simulate_views(out=pack.parent / "other", belt_sd_mm=(0.0,))
+    with pytest.raises(InputError, match="a 3DPotatoTwin folder cannot say how well its belt is known"):
+        simulate_views(out=pack.parent / "other", belt_sd_mm=(2.0,), layout="potatotwin")

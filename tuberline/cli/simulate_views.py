@@ -70,6 +70,8 @@ def simulate_views(
         raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
     if not all(0.1 <= sd <= 10 for sd in belt_sd_mm):
         raise InputError(f"--belt-sd-mm {belt_sd_mm}: standard deviations of 0.1 to 10 mm are allowed")
+    if belt_sd_mm and layout == "potatotwin":
+        raise InputError("--belt-sd-mm is for view packs: a 3DPotatoTwin folder cannot say how well its belt is known")
     former = _former_views(out, force=force)
     if layout == "potatotwin" and camera == "mixed":
         camera = "d405-1280"
