@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from camera_sim.sim.belt import draw_belt
 from camera_sim.sim.optics import D405_1280
 from camera_sim.sim.view_setting import draw_recording, draw_setting
 from camera_sim.sim.views import ViewPlan, ViewSimulator
@@ -84,26 +85,33 @@ def test_31_views_ride_through_the_image() -> None:
 
 
 def test_belts_are_off_by_what_is_said_of_them() -> None:
-    """0.5 or 3 mm, drawn by recording; camera, cultivar and belt are those of the plan without it."""
-    sds_m = (0.0005, 0.003)
-    plan = ViewPlan(seed=31, views_per_tuber=1, preset="worlds", belt_sds_m=sds_m)
+    """0.5 or 3 mm, drawn by recording."""
+    sds_m, rng = (0.0005, 0.003), np.random.default_rng(31)
+    plan = ViewPlan(seed=31, views_per_tuber=1, preset="exact", belt_sds_m=sds_m)
+    belts = [draw_belt(rng, soil_m=8e-4)] * 2
     errors: dict[float, list[float]] = {sd_m: [] for sd_m in sds_m}
     for number in range(400):
-        recording, plain = draw_recording(plan, number), draw_recording(replace(plan, belt_sds_m=()), number)
-        setting, without = (
-            draw_setting(plan, shared, [], np.random.default_rng(number)) for shared in (recording, plain)
-        )
-        assert (setting.optics, setting.believed_distance_m) == (without.optics, without.believed_distance_m)
-        assert setting.conditions.stock == without.conditions.stock
-        assert setting.preset.noise == without.preset.noise
+        setting = draw_setting(plan, draw_recording(plan, number), belts, rng)
         sd_m = setting.preset.belt_sd_m
-        errors[min(sds_m, key=lambda said_m: abs(said_m - sd_m))].append(
-            (setting.believed_distance_m - setting.seen_distance_m) / sd_m
-        )
+        nearest = min(sds_m, key=lambda said_m: abs(said_m - sd_m))
+        assert sd_m == pytest.approx(nearest)
+        errors[nearest].append((setting.believed_distance_m - setting.seen_distance_m) / sd_m)
     for of_one in errors.values():
         assert len(of_one) > 150
         assert abs(np.mean(of_one)) < 0.25
         assert np.std(of_one) == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_is_known_of_a_belt_changes_nothing_else_of_a_recording() -> None:
+    plan = ViewPlan(seed=31, views_per_tuber=1, preset="worlds", belt_sds_m=(0.0005, 0.003))
+    for number in range(6):
+        known, plain = (
+            draw_setting(drawn, draw_recording(drawn, number), [], np.random.default_rng(number))
+            for drawn in (plan, replace(plan, belt_sds_m=()))
+        )
+        assert (known.optics, known.believed_distance_m) == (plain.optics, plain.believed_distance_m)
+        assert known.conditions.stock == plain.conditions.stock
+        assert known.preset.noise == plain.preset.noise
 
 
 def test_what_cannot_be_is_refused(pack: Path) -> None:
