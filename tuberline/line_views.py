@@ -7,25 +7,25 @@ read a line's small tubers heavy.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camera_sim.sim.conditions import WORLDS
+from camera_sim.sim.conditions import UNKNOWN_SD_M, WORLDS, Conditions, StatedRest
 from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layout_named, tuber_of
 from camera_sim.sim.source import SimulatedSource, simulated_sources
 from camera_sim.sim.tubers import Tuber
 from camera_sim.sim.view_setting import TUBERS_PER_RECORDING
-from camera_sim.sim.view_truth import rim_of
+from camera_sim.sim.view_truth import UNKNOWN_POSE, rim_of
+from camera_sim.sim.viewpack import packed
+from camera_sim.sim.views import SimulatedView
 from conveyor.config import parse_config
-from conveyor.formats.packs.views import UNKNOWN, PackedView, ViewPackWriter
+from conveyor.formats.packs.views import PackedView, ViewPackWriter
 from conveyor.geometry import belt_distance_m
 from conveyor.messages import Frame, View
 from segmenter.pipeline import Segmenter, Settings
@@ -46,8 +46,6 @@ KEPT_FRAMES = 200
 """Whose labels are kept: a tuber 1.5 m away is through the view in 130 of the slowest belt."""
 OWN_SHARE = 0.8
 """Of a view's pixels that are of one tuber, so that it is a view of it."""
-UNKNOWN_SD_MM = 4.7
-"""Of a resting offset of which a recording says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +92,10 @@ def line_views(plan: LineViewPlan, number: int) -> Iterator[PackedView]:
     world = build_world(settings, layout)
     source = simulated_sources(world, settings, layout, masks=True)[0]
     tubers = {body.body_id: tuber_of(body) for body in world.bodies if body.kind == "tuber"}
-    shared = _shared(settings, number)
     for view, mask in _cut(source, _segmenter(source, belt_sd_mm=_belt_sd_mm(drawn))):
         body_id = _shown(view, mask)
         if body_id in tubers:
-            yield _packed(view, mask == body_id, tubers[body_id], number * 1000 + body_id, shared)
+            yield packed(_seen(view, mask == body_id, tubers[body_id], settings, number=number, body_id=body_id))
 
 
 def _settings(plan: LineViewPlan, number: int) -> SceneSettings:
@@ -163,49 +160,26 @@ def _shown(view: View, mask: NDArray[np.uint16]) -> int:
     return most if counts[most] >= OWN_SHARE * len(seen) else 0
 
 
-def _packed(view: View, silhouette: NDArray[np.bool_], tuber: Tuber, number: int, shared: dict[str, Any]) -> PackedView:
-    rim = rim_of(view.depth > 0, silhouette)
-    length_mm, width_mm, height_mm = tuber.axes_mm
-    return PackedView(
+def _seen(
+    view: View, silhouette: NDArray[np.bool_], tuber: Tuber, settings: SceneSettings, *, number: int, body_id: int
+) -> SimulatedView:
+    """The view with its truth. How its tuber lies is not said: it may roll."""
+    world = settings.conditions or Conditions(settings.preset)
+    return SimulatedView(
         depth=view.depth,
         u0=view.u0,
         v0=view.v0,
-        intrinsics=view.intrinsics,
         depth_scale_m=view.depth_scale_m,
+        intrinsics=view.intrinsics,
         belt_distance_m=belt_distance_m(view.belt_from_camera),
         belt_sd_m=view.belt_sd_m,
-        weight_g=tuber.weight_g,
-        volume_ml=tuber.volume_ml,
-        length_mm=length_mm,
-        width_mm=width_mm,
-        height_mm=height_mm,
-        tuber=number,
-        cultivar=tuber.stock.cultivar,
-        season=tuber.stock.season,
         v_centre=float(np.nonzero(silhouette)[0].mean()),
-        more=shared | {"rim": rim.kind, "rim_lost": rim.lost, "skin_lost": rim.skin_lost},
+        tuber_id=number * 1000 + body_id,
+        tuber=tuber,
+        resting_m=world.resting_m,
+        pose=UNKNOWN_POSE,
+        rim=rim_of(view.depth > 0, silhouette),
+        recording=number,
+        conditions=world,
+        stated=settings.stated or StatedRest(0.0, UNKNOWN_SD_M, calibrated=False),
     )
-
-
-def _shared(settings: SceneSettings, number: int) -> dict[str, Any]:
-    """What the views of a recording have in common, as `camera_sim.sim.viewpack` names it. How a tuber lies is not
-    said: it may roll.
-    """
-    layout = layout_named(settings.scene)
-    own, stated = settings.conditions, settings.stated
-    resting_mm = 1000 * settings.resting_m(layout)
-    return {
-        "recording": number,
-        "preset": settings.preset.name,
-        "surface": settings.surface_of(layout).kind,
-        "soil_mm": 1000 * own.jacket_m if own is not None else 0.0,
-        "local_noise_px": own.local_px if own is not None and own.local_px is not None else math.nan,
-        "resting_mm": resting_mm,
-        "resting_recording_mm": resting_mm,
-        "stated_resting_mm": 1000 * stated.offset_m if stated is not None else 0.0,
-        "stated_resting_sd_mm": 1000 * stated.sd_m if stated is not None else UNKNOWN_SD_MM,
-        "calibrated": stated is not None and stated.calibrated,
-        "pose": UNKNOWN,
-        "shortest_deg": math.nan,
-        "longest_deg": math.nan,
-    }

@@ -104,7 +104,7 @@ def draw_recording(plan: ViewPlan, number: int) -> Recording:
     if plan.preset not in BY_RECORDING:
         flat = Conditions(preset_named(plan.preset, rng))
         return Recording(number, session_error, draw_stated(flat, rng), belt_sd_m=belt_sd_m)
-    conditions = known_to(draw_conditions(plan.preset, rng), belt_sd_m)
+    conditions = _known_to(draw_conditions(plan.preset, rng), belt_sd_m)
     stated = draw_stated(conditions, rng)
     optics, distance_m, unit_m = _optics(plan, rng), _distance_m(plan, rng), _unit_m(plan, rng)
     soil_m = conditions.soil_m if conditions.soil_m is not None else float(rng.choice(np.array([8e-4, 2e-3])))
@@ -115,7 +115,7 @@ def draw_recording(plan: ViewPlan, number: int) -> Recording:
     return Recording(number, session_error, stated, conditions, optics, unit_m, distance_m, belt, bow, belt_sd_m)
 
 
-def known_to(conditions: Conditions, belt_sd_m: float | None) -> Conditions:
+def _known_to(conditions: Conditions, belt_sd_m: float | None) -> Conditions:
     """The same where the belt distance is known to `belt_sd_m`, most of it shared by the recording; None: as it is."""
     if belt_sd_m is None:
         return conditions
@@ -131,7 +131,7 @@ def draw_setting(plan: ViewPlan, recording: Recording, belts: list[Belt], rng: G
         believed_m, belt, bow = recording.distance_m, recording.belt, recording.bow
         error_m = _belt_error_m(conditions.preset, recording.session_error, rng)
     else:
-        conditions = known_to(Conditions(preset_named(plan.preset, rng)), recording.belt_sd_m)
+        conditions = _known_to(Conditions(preset_named(plan.preset, rng)), recording.belt_sd_m)
         optics, believed_m = _optics(plan, rng), _distance_m(plan, rng)
         error_m = _belt_error_m(conditions.preset, recording.session_error, rng)
         unit_m = _unit_m(plan, rng)

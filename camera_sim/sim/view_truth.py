@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from camera_sim.sim.meshes import Vertices
 from conveyor.crop_depth import closed
 
-PoseClass = Literal["flat", "tilted", "standing"]
+PoseClass = Literal["flat", "tilted", "standing", "unknown"]
 RimClass = Literal["exact", "good", "poor"]
 FLAT_DEG, STANDING_DEG = 35.0, 45.0
 EXACT_RIM, GOOD_RIM = 0.03, 0.10
@@ -20,7 +21,7 @@ EXACT_RIM, GOOD_RIM = 0.03, 0.10
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Angles of the shortest and the longest axis to the vertical, degrees, 0 to 90."""
+    """Angles of the shortest and the longest axis to the vertical, degrees, 0 to 90; NaN where they are not known."""
 
     shortest_deg: float
     longest_deg: float
@@ -28,9 +29,14 @@ class Pose:
     @property
     def kind(self) -> PoseClass:
         """Standing: the longest axis within 45 degrees of the vertical; flat: the shortest within 35."""
+        if math.isnan(self.longest_deg):
+            return "unknown"
         if self.longest_deg <= STANDING_DEG:
             return "standing"
         return "flat" if self.shortest_deg <= FLAT_DEG else "tilted"
+
+
+UNKNOWN_POSE = Pose(math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)

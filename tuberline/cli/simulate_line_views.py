@@ -8,6 +8,7 @@ from typing import Literal
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed
+from tuberline.cli.simulate_views import check_distances, former_views, remove
 
 
 def simulate_line_views(
@@ -42,11 +43,8 @@ def simulate_line_views(
 
     if recordings < 1:
         raise InputError(f"--recordings {recordings}: at least 1 is needed")
-    if not all(0.2 <= d <= 1.5 for d in distances):
-        raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
-    former = list(out.glob("views-*.npz"))
-    if former and not force:
-        raise InputError(f"{out} already holds views; choose another folder or add --force")
+    check_distances(distances, needed=False)
+    former = former_views(out, force=force)
     with whole_output(out) as partial, progress_bar() as progress:
         task = progress.add_task("recordings", total=recordings)
         views, tubers = write_line_views(
@@ -56,6 +54,5 @@ def simulate_line_views(
             command=" ".join(["tuberline", *sys.argv[1:]]),
             on_recording=lambda _: progress.advance(task),
         )
-        for old in former:
-            old.unlink()
+        remove(former)
     sys.stdout.write(f"{views} views of {tubers} tubers in {out}\n")

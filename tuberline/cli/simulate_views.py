@@ -66,13 +66,12 @@ def simulate_views(
 
     if tubers < 1 or views < 1:
         raise InputError(f"--tubers {tubers} --views {views}: both must be at least 1")
-    if not distances or not all(0.2 <= d <= 1.5 for d in distances):
-        raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
+    check_distances(distances, needed=True)
     if not all(0.1 <= sd <= 10 for sd in belt_sd_mm):
         raise InputError(f"--belt-sd-mm {belt_sd_mm}: standard deviations of 0.1 to 10 mm are allowed")
     if belt_sd_mm and layout == "potatotwin":
         raise InputError("--belt-sd-mm is for view packs: a 3DPotatoTwin folder cannot say how well its belt is known")
-    former = _former_views(out, force=force)
+    former = former_views(out, force=force)
     if layout == "potatotwin" and camera == "mixed":
         camera = "d405-1280"
     mixed = camera == "mixed"
@@ -94,13 +93,32 @@ def simulate_views(
             made = write_view_pack(
                 partial, plan, tubers=tubers, command=" ".join(sys.argv), on_tuber=lambda _: progress.advance(task)
             )
-        for old in former:
-            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        remove(former)
     sys.stdout.write(f"{made} views of {tubers} tubers in {out}\n")
 
 
-def _former_views(out: Path, *, force: bool) -> list[Path]:
-    """The views that the new ones take the place of, on demand alone: no mix of two."""
+def check_distances(distances: tuple[float, ...], *, needed: bool) -> None:
+    """Belt distances are some that a camera can have, and there are some where they are `needed`.
+
+    Raises:
+        InputError: they are not.
+    """
+    if (needed and not distances) or not all(0.2 <= d <= 1.5 for d in distances):
+        raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
+
+
+def remove(former: list[Path]) -> None:
+    """Remove what `former_views` found, once the new views are there."""
+    for old in former:
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
+
+
+def former_views(out: Path, *, force: bool) -> list[Path]:
+    """The views that the new ones take the place of, on demand alone: no mix of two.
+
+    Raises:
+        InputError: there are some and `force` is off, or some that were not simulated.
+    """
     packs, twin = list(out.glob("views-*.npz")), out / "1_rgbd"
     if (packs or twin.exists()) and not force:
         raise InputError(f"{out} already holds views; choose another folder or add --force")
