@@ -5,8 +5,8 @@ from __future__ import annotations
 from camera_sim.clocked import ClockedSource
 from camera_sim.placed import placed
 from conveyor.config import LineConfig
-from conveyor.errors import ConfigError
-from conveyor.formats import Source, camera_names, open_source
+from conveyor.formats import Source
+from conveyor.formats.configured import recorded_source
 
 
 def configured_source(config: LineConfig, camera: str) -> Source:
@@ -25,21 +25,7 @@ def configured_source(config: LineConfig, camera: str) -> Source:
         from camera_sim.live.ros2 import Ros2Source
 
         return placed(Ros2Source.connect(camera, settings, config.link), settings)
-    if settings.path is None:
-        raise ConfigError(f"cameras.{camera}: a recording needs its path, e.g. path = 'recordings/monday.mcap'")
-    wanted = settings.camera
-    if wanted is None and camera in camera_names(settings.path):
-        wanted = camera
-    recorded = open_source(
-        settings.path,
-        camera=wanted,
-        name=camera,
-        belt_distance_m=settings.belt_distance_m,
-        place=settings.place,
-        belt_from_camera=settings.pose,
-        depth_scale_m=settings.depth_scale_m,
-        ignore_masks=settings.ignore_masks,
-    )
+    recorded = recorded_source(config, camera)
     if settings.starts_at_s is None:
         return recorded
     return ClockedSource(recorded, starts_at_s=settings.starts_at_s, speed=settings.speed)
