@@ -22,6 +22,7 @@ from benchmarks.options import chosen, parser_of, whole_number
 from segmenter.classify.belief import believe
 from segmenter.classify.evidence import PatchNoise
 from segmenter.classify.prior import Prior
+from segmenter.first_look import ENOUGH
 from segmenter.track.counting import CountSettings
 
 CLEAN, CLODDY = "touching", "distractors"
@@ -145,11 +146,18 @@ class LinePrior:
 RULES: dict[str, Callable[[], Belief]] = {"before": FirstPrior, "now": LinePrior}
 
 
-def tally(over: Iterable[Passage], rule: Callable[[], Belief]) -> Tally:
-    """What the rule makes of passages, each a belt of its own; what was not classified is counted."""
+def tally(over: Iterable[Passage], rule: Callable[[], Belief], *, looked_at: int = 0) -> Tally:
+    """What the rule makes of passages, each a belt of its own; what was not classified is counted.
+
+    Args:
+        looked_at: bodies of each that it has seen before, as a replay looks at a recording first.
+    """
     tubers = lost = others = counted = 0
     for passage in over:
         belief = rule()
+        for body in passage.bodies[:looked_at]:
+            if body.answers:
+                belief.judge(body)
         tubers += passage.tubers
         for body in passage.bodies:
             refused = bool(body.answers) and belief.judge(body) < REFUSED_BELOW
@@ -190,6 +198,8 @@ def table(of: Sequence[Passage]) -> str:
             lines.append(_row(f"{belt}, {name}", before, now))
         one_belt = after_another(of_scene)
         lines.append(_row(f"{belt}, all, one after the other", *(tally(one_belt, rule) for rule in RULES.values())))
+        looked = (tally(of_scene, rule, looked_at=ENOUGH) for rule in RULES.values())
+        lines.append(_row(f"{belt}, all, looked at first", *looked))
     return "\n".join(lines) + "\n"
 
 

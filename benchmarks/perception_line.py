@@ -26,6 +26,7 @@ from conveyor.formats import camera_names, open_source
 from conveyor.messages import Frame, Totals, Tuber
 from regressor.weigh.weigher import Weigher, weigh_view
 from segmenter.camera_run import CameraRun
+from segmenter.first_look import look_first
 from segmenter.setup import run_settings
 from segmenter.warmup import warm_up
 from tuberline.replayer import stated_belt
@@ -85,7 +86,7 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     """
     names = camera_names(recording)
     cameras = {name: {"path": str(recording), "ignore_masks": True} for name in names}
-    segmenter = {} if belt_follow_mm is None else {"belt_follow_mm": belt_follow_mm}
+    segmenter = {"look_first": True} | ({} if belt_follow_mm is None else {"belt_follow_mm": belt_follow_mm})
     belt = stated_belt(open_source(recording, camera=name).description for name in names)
     config = parse_config({"cameras": cameras, "segmenter": segmenter, "belt": belt}, where="of the benchmark")
     warm_up(config.segmenter.pixel_mm)
@@ -126,7 +127,8 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
 
 
 def _run_camera(recording: Path, name: str, config: LineConfig, weigher: Weigher, line: Aggregation) -> CameraRun:
-    camera = CameraRun(name, RUN, run_settings(config, name), None)
+    look = look_first(config, name)
+    camera = CameraRun(name, RUN, run_settings(config, name), None, known=look.known if look else None)
     for frame in open_source(recording, camera=name, ignore_masks=True).frames(run=RUN):
         if isinstance(frame, Frame):
             camera.frame(frame, 0.0)

@@ -140,7 +140,14 @@ class SegmenterConfig(Section):
         description="then a tuber is logged by its volume; live: at once if it had to wait for half",
     )
     state_dir: Path | None = Field(
-        None, description="where the log not yet committed is kept across restarts; default: state/ in aggregator.out"
+        None,
+        description="where the log not yet committed, and what is known of a live camera, is kept across restarts; "
+        "default: state/ in aggregator.out",
+    )
+    look_first: bool = Field(
+        False,
+        description="a recording that waits is looked at before it is counted: its first tuber is weighed as its last, "
+        "by a camera that is known; so `tuberline replay` does",
     )
 
     @field_validator("method", mode="before")

@@ -18,6 +18,7 @@ from segmenter.dispatch.refusal_words import RefusalWords
 from segmenter.dispatch.thinning import Thinning
 from segmenter.dispatch.view_budget import ViewBudget
 from segmenter.dispatch.weighing import Weighing
+from segmenter.known import Known
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.provisional import ProvisionalWeights
 from segmenter.results import ClosedTrack, StepResult
@@ -65,7 +66,10 @@ class RunSettings:
 class CameraRun:
     """Owns the core, the dispatcher, the tracks that wait and the log. Times are seconds of any steady clock."""
 
-    def __init__(self, camera: str, run: str, settings: RunSettings, log_path: Path | None) -> None:
+    def __init__(
+        self, camera: str, run: str, settings: RunSettings, log_path: Path | None, *, known: Known | None = None
+    ) -> None:
+        """`known`: what is known of the camera already."""
         self.camera = camera
         self.run = run
         self.settings = settings
@@ -74,7 +78,7 @@ class CameraRun:
         self.dispatcher = Dispatcher(settings.dispatch)
         self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)
         self.budget = ViewBudget(settings.core.views_per_tuber, settings.free_share)
-        self.core = Segmenter(settings.core)
+        self.core = Segmenter(settings.core, known=known)
         self.early = EarlyViews()
         self.provisional = ProvisionalWeights()
         self._thinning = Thinning()
@@ -102,7 +106,8 @@ class CameraRun:
         if mark is None or (self.settings.replays and not mark.final):
             return
         self.ended = mark.final
-        self.core = Segmenter(self.settings.core, resume=resume_after(mark, self.log.since_mark, self.log.speed_mps))
+        resume = resume_after(mark, self.log.since_mark, self.log.speed_mps)
+        self.core = Segmenter(self.settings.core, resume=resume, known=self.core.known)
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = views_left(mark.views, self.log.since_mark)
         self._refusals.know(self._base_views)

@@ -35,6 +35,7 @@ from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
 from segmenter.frame.watch import BeltWatch
 from segmenter.in_view import tracks_in_view
+from segmenter.memory import CameraMemory
 from segmenter.results import StepResult
 from segmenter.setup import log_path, run_settings
 from segmenter.state_lock import only_here
@@ -49,9 +50,10 @@ IDLE_POLL_S = 0.02
 BUSY_POLL_S = 0.004
 COMMITTED_WAIT_S = 0.5
 RUNS_REMEMBERED = 64
-EXPLAINED = "belt_explained"
-"""Among what was told of the belt: that it was seen elsewhere because the camera's depth had drifted."""
 """Older runs that are committed and closed: a frame of them that comes late does not begin them again."""
+EXPLAINED, UNLIKE = "belt_explained", "camera_unlike"
+"""Among what was told of the belt: that it was seen elsewhere because the camera's depth had drifted; and of the
+camera: that it is another than it was."""
 
 
 class SegmenterNode:
@@ -66,6 +68,8 @@ class SegmenterNode:
         self._waits = source.waits and source.source == "recording"  # a device waits for no one
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
+        self._current: CameraRun
+        self._memory = CameraMemory(config, camera, self._node.log)
         self._over: deque[str] = deque(maxlen=RUNS_REMEMBERED)
         self._speed = 1.0 if source.of_today else source.speed
         self._age = FrameAge(self._speed)
@@ -89,6 +93,7 @@ class SegmenterNode:
         with self._node as node, ExitStack() as stack:
             stack.enter_context(only_here(self._config.segmenter.state_dir, f"{self._config.name}.{self._camera}"))
             self._open_links(node, stack)
+            self._memory.look(self._config, self._camera, go_on=self._goes_on)
             try:
                 self._open_run(node.run)
                 node.announce()
@@ -96,8 +101,18 @@ class SegmenterNode:
                     self._turn()
                     node.progress()
             finally:
+                self._remember()
                 for camera_run in self._runs.values():
                     camera_run.close()
+
+    def _goes_on(self) -> bool:
+        self._node.progress()
+        return not self._node.stop.is_set()
+
+    def _remember(self) -> None:
+        """The newest run is over, or the process is: what is known of its camera is kept for the next."""
+        if self._runs:
+            self._memory.over(self._current.core.known, self._current.run)
 
     def _open_links(self, node: Node, stack: ExitStack) -> None:
         camera, segmenter = self._camera, self._config.segmenter
@@ -122,8 +137,13 @@ class SegmenterNode:
         self._in_view = LatestPublisher(node, topics.IN_VIEW, camera=camera)
 
     def _open_run(self, run: str) -> None:
+        self._remember()
         camera_run = CameraRun(
-            self._camera, run, run_settings(self._config, self._camera), log_path(self._config, self._camera, run)
+            self._camera,
+            run,
+            run_settings(self._config, self._camera),
+            log_path(self._config, self._camera, run),
+            known=self._memory.known_in(run),
         )
         camera_run.open()
         if camera_run.log.newest:
@@ -162,6 +182,8 @@ class SegmenterNode:
             self._reported_s = now_s
             self._leave_gone(self._regressors.names())
             self._report()
+            if self._memory.due(now_s):
+                self._memory.keep(self._current.core.known, self._current.run, now_s)
         self._tell_finished()
 
     def _take_frame(self, frame: Frame, now_s: float) -> None:
@@ -278,6 +300,12 @@ class SegmenterNode:
             if name not in self._belt_told:
                 self._belt_told.add(name)
                 self._node.log.warning(finding)
+        if core.unlike_known and UNLIKE not in self._belt_told:
+            self._belt_told.add(UNLIKE)
+            self._node.log.info(
+                "what was known of the camera is not of this one, %s: what it does to outlines is learned afresh",
+                core.unlike_known,
+            )
         explained = "belt_alarm" in self._belt_told and "belt_alarm" not in found and levels.get("scaled_by_travel")
         if explained and EXPLAINED not in self._belt_told:
             self._belt_told.add(EXPLAINED)

@@ -103,6 +103,15 @@ class Perception:
         return answer if self._prior.like_clods == 0 else None
 
     @property
+    def belt(self) -> Prior:
+        """What the tracks so far say of clods on the belt."""
+        return self._prior.copied()
+
+    def recall(self, belt: Prior) -> None:
+        """Begin with what an earlier process, or an earlier look, has learned of this belt."""
+        self._prior = belt.copied()
+
+    @property
     def like_clods(self) -> float:
         """Share of the bodies that look like clods, where that is too many to believe any of it; else 0."""
         return self._prior.like_clods

@@ -17,6 +17,7 @@ from segmenter.frame.gate import FrameGate
 from segmenter.frame.instances import Instances
 from segmenter.frame.plane import BeltCheck
 from segmenter.gauge.keeper import GaugeKeeper
+from segmenter.known import Known
 from segmenter.outline.flanks import FlankReading
 from segmenter.outline.watch import OutlineReading
 from segmenter.perception import Perception
@@ -40,7 +41,8 @@ class Segmenter:
     Until a belt is known it waits; from then on a `BeltSegmenter` does the work.
     """
 
-    def __init__(self, settings: Settings, *, resume: Resume | None = None) -> None:
+    def __init__(self, settings: Settings, *, resume: Resume | None = None, known: Known | None = None) -> None:
+        """`resume`: where an earlier process of the run left off. `known`: what is known of the camera already."""
         self._gate = FrameGate()
         self.gauge = GaugeKeeper(settings.gauge)
         self._off = BeltOff()
@@ -55,6 +57,10 @@ class Segmenter:
         self._not_told = 0
         self._waiting = WaitingSegmenter(settings, self._perception, resume)
         self._running: BeltSegmenter | None = None
+        self._recalled = known
+        self._unit_m = 0.0
+        self.unlike_known = ""
+        """Why what was known of the camera is not used, in words; empty where it is, and where nothing was known."""
 
     def step(self, frame: Frame) -> StepResult:
         """Take the next frame.
@@ -75,6 +81,7 @@ class Segmenter:
             return self._dropped(FrameDrop.NO_BELT)
         if self._running is None:
             self._running = self._waiting.with_belt(belt, seen)
+            self._recall(self._running, frame, belt)
         self._off.step(self._belts.check)
         off = () if self.gauge.reading is not None else self._off.flags()
         self._running.flags = (*self.gauge.flags(), *off)
@@ -151,6 +158,32 @@ class Segmenter:
             "masks_merged": self.merged_masks,
             "like_clods": self._perception.like_clods,
         }
+
+    @property
+    def known(self) -> Known | None:
+        """What is known of the camera and its belt by now; None before a belt is, where that is what was told."""
+        running, belt = self._running, self.belt
+        if running is None or belt is None:
+            return self._recalled
+        return Known(
+            intrinsics=belt.intrinsics,
+            depth_scale_m=self._unit_m,
+            belt_distance_m=belt.distance_m,
+            outlines=running.outlines.said,
+            flanks_mm=running.outlines.flanks.said_mm,
+            belt=self._perception.belt,
+        )
+
+    def _recall(self, running: BeltSegmenter, frame: Frame, belt: BeltGeometry) -> None:
+        self._unit_m, known = frame.depth_scale_m, self._recalled
+        if known is None:
+            return
+        self.unlike_known = known.unlike(frame, belt)
+        if self.unlike_known:
+            return
+        running.outlines.recall(known.outlines, known.flanks_mm)
+        if known.belt is not None:
+            self._perception.recall(known.belt)
 
     def _travel_gauge(self, running: BeltSegmenter) -> dict[str, float]:
         missing = self._not_told >= TOLD_WITHIN

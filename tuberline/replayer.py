@@ -282,7 +282,7 @@ def replay_config(
             n: {"path": str(recording.resolve()), "speed": speed, **(places or {}).get(n, {})} for n in cameras
         },
         # A busy machine or a cut link must not decide how many views a tuber of the same recording gets.
-        "segmenter": {"state_dir": str(out.resolve() / "state"), "weigh_deadline_s": 600.0},
+        "segmenter": {"state_dir": str(out.resolve() / "state"), "weigh_deadline_s": 600.0, "look_first": True},
         "regressor": {"processes": regressors, "state_dir": str(out.resolve() / "weights")},
         # A replay waits for everybody, so a silent camera is one that is being restarted: no one goes on without it.
         "aggregator": {"out": str(out.resolve()), "exit_when_final": True, "camera_stall_s": 600.0},

@@ -13,8 +13,9 @@ Between clods' answers and tubers' lies a gap. Where many answers fall into it, 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,10 @@ class Prior:
 
     said: NDArray[np.float64] = field(default_factory=lambda: np.zeros(SHARES))
     newest: deque[float] = field(default_factory=lambda: deque(maxlen=NEWEST))
+
+    def copied(self) -> Self:
+        """The same, which learns on by itself."""
+        return replace(self, said=self.said.copy(), newest=self.newest.copy())
 
     @property
     def share(self) -> float:

@@ -76,6 +76,16 @@ class FlankWatch:
         self._tubers: dict[int, NDArray[np.float64]] = {}
         self.reading: FlankReading | None = None
 
+    @property
+    def said_mm(self) -> NDArray[np.float64]:
+        """(n, `BINS`) millimetres by which flanks of each tuber are raised, the newest last; NaN where not known."""
+        return np.array(list(self._tubers.values())).reshape(-1, BINS)
+
+    def recall(self, said_mm: NDArray[np.float64]) -> None:
+        """Begin with what an earlier watch said of the same camera."""
+        self._tubers = dict(zip(range(-len(said_mm), 0), said_mm, strict=True))
+        self.reading = self._read()
+
     def add(self, tuber: int, risen_m: NDArray[np.float64]) -> None:
         """(`BINS`,) metres that a pair of its frames say, as `risen_m` gives them."""
         pairs = self._pairs.setdefault(tuber, [])
@@ -87,7 +97,7 @@ class FlankWatch:
         self.reading = self._read()
 
     def _read(self) -> FlankReading | None:
-        said_mm = np.array(list(self._tubers.values()))
+        said_mm = self.said_mm
         judged_mm = said_mm[:, JUDGED].mean(1)
         judged_mm = judged_mm[~np.isnan(judged_mm)]
         if len(judged_mm) < LEAST_TUBERS:

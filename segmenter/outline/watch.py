@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
@@ -150,6 +151,21 @@ class OutlineWatch:
                 looks += 1
         self._compare(PAIRS[late])
 
+    @property
+    def said(self) -> tuple[tuple[Comparison, ...], ...]:
+        """What pairs of frames say of each tuber's outline, the newest tuber last."""
+        return tuple(tuple(replace(one, risen_m=None) for one in said) for said in self._said.values())
+
+    def recall(self, said: Sequence[tuple[Comparison, ...]], flanks_mm: NDArray[np.float64]) -> None:
+        """Begin with what an earlier watch said of the same camera; the tubers that pass next take its tubers' place.
+
+        Args:
+            flanks_mm: as `FlankWatch.said_mm`.
+        """
+        self._said = {number: list(one) for number, one in zip(range(-len(said), 0), said, strict=True)}
+        self._read()
+        self.flanks.recall(flanks_mm)
+
     def keep_only(self, tracks: Sequence[TrackState]) -> None:
         """Forget what was seen of others: they have left the view."""
         numbers = {track.number for track in tracks if track.state is not State.DISCARDED}
@@ -195,8 +211,10 @@ class OutlineWatch:
                 news = True
         while len(self._said) > KEPT:
             del self._said[next(iter(self._said))]
-        if not news:
-            return
+        if news:
+            self._read()
+
+    def _read(self) -> None:
         tubers = [said for said in self._said.values() if sum(len(one.lost_px) for one in said) >= LEAST_DIRECTIONS]
         if len(tubers) >= LEAST:
             self.reading = _reading(tubers)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
+from segmenter.results import ClosedTrack
 
 SMALL = Intrinsics(424, 240, 216.5, 216.5, 212.0, 120.0)
 MEDIUM = Intrinsics(848, 480, 433.0, 433.0, 424.0, 240.0)
@@ -136,6 +139,25 @@ def scattered(count: int, *, seed: int, spacing_m: float = 0.12, half_width_m: f
             )
         )
     return bodies
+
+
+def worn(frame: Frame, body: NDArray[np.uint8], px: float) -> Frame:
+    """The frame with its tubers' outlines moved out by `px` pixels, or in where it is below 0."""
+    depth = frame.depth
+    if px > 0:
+        away, nearest = cv2.distanceTransformWithLabels(1 - body, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        of = np.zeros(int(nearest.max()) + 1, np.uint16)
+        of[nearest[body > 0]] = depth[body > 0]
+        depth = np.where((body == 0) & (away <= px), of[nearest], depth)
+    else:
+        inside = cv2.distanceTransform(body, cv2.DIST_L2, 5)
+        depth = np.where((body > 0) & (inside <= -px), 0, depth)
+    return replace(frame, depth=depth.astype(np.uint16))
+
+
+def seen_px(closed: Iterable[ClosedTrack]) -> dict[float, int]:
+    """By place, the pixels of each tuber's best view."""
+    return {round(c.track.place_x_m, 2): int(np.count_nonzero(c.views[0].depth)) for c in closed}
 
 
 def _box(scene: Scene, centre: NDArray[np.float64], body: Body) -> tuple[slice, slice] | None:

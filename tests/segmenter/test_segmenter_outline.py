@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from segmenter_scene import MEDIUM, Scene, scattered
+from segmenter_scene import MEDIUM, Scene, scattered, seen_px, worn
 
 from conveyor.belt_findings import belt_findings
 from conveyor.camera_flags import OUTLINE_GROWN
@@ -25,20 +24,6 @@ Belt = list[tuple[Frame, NDArray[np.uint8]]]
 """Its frames, each with where tubers are in it."""
 
 
-def worn(frame: Frame, body: NDArray[np.uint8], px: float) -> Frame:
-    """The frame with its tubers' outlines moved out by `px` pixels, or in where it is below 0."""
-    depth = frame.depth
-    if px > 0:
-        away, nearest = cv2.distanceTransformWithLabels(1 - body, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-        of = np.zeros(int(nearest.max()) + 1, np.uint16)
-        of[nearest[body > 0]] = depth[body > 0]
-        depth = np.where((body == 0) & (away <= px), of[nearest], depth)
-    else:
-        inside = cv2.distanceTransform(body, cv2.DIST_L2, 5)
-        depth = np.where((body > 0) & (inside <= -px), 0, depth)
-    return replace(frame, depth=depth.astype(np.uint16))
-
-
 def run(frames: Iterable[Frame]) -> tuple[Segmenter, list[ClosedTrack], OutlineReading]:
     core, closed = Segmenter(Settings()), []
     for frame in frames:
@@ -46,11 +31,6 @@ def run(frames: Iterable[Frame]) -> tuple[Segmenter, list[ClosedTrack], OutlineR
     reading = core.outlines
     assert reading is not None
     return core, closed, reading
-
-
-def seen_px(closed: list[ClosedTrack]) -> dict[float, int]:
-    """By place, the pixels of each tuber's best view."""
-    return {round(c.track.place_x_m, 2): int(np.count_nonzero(c.views[0].depth)) for c in closed}
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from conveyor.messages import Committed, Frame
 from conveyor.session import open_client
 from segmenter.node import SegmenterNode
 from tests.conftest import wait_until
-from tests.segmenter.segmenter_scene import Body, Scene
+from tests.segmenter.segmenter_scene import MEDIUM, Body, Scene, scattered
 
 SCENE = Scene([Body(-0.3, 0.0)])
 LINE = LineConfig(cameras={"front": CameraConfig(source="realsense", belt_distance_m=0.46)})
@@ -110,6 +110,36 @@ def test_reports_name_the_run_that_they_tell_of(node: Any) -> None:
     assert node._node.run == "r2"
     give(node, "r1", range(2, 3))
     assert node._node.run == "r2"
+
+
+def test_a_new_run_and_a_new_process_know_the_camera(node: Any, tmp_path: Path) -> None:
+    """Each learned it afresh: the first twenty tubers of every run were weighed as if nothing were known of it."""
+    scene = Scene([replace(b, place_x_m=2 * b.place_x_m) for b in scattered(10, seed=4)], MEDIUM)
+    for seq in range(44):
+        node._take_frame(replace(scene.frame(seq, 0.03 * seq), run="r1"), 0.033 * seq)
+    learned = node._current.core.outlines
+    assert learned is not None
+    seen = replace(scene.frame(0, 0.0), run="r2", captured_ns=10**10)
+    node._take_frame(seen, 2.0)
+    assert node._current.run == "r2"
+    assert node._current.core.outlines == learned
+    node._remember()
+    later: Any = SegmenterNode(node._config, "front", "r3")
+    later._memory.look(later._config, "front", go_on=later._goes_on)
+    known = later._memory.known_in("r3")
+    assert (known is not None) == (node._config.segmenter.state_dir is not None)
+    assert known is None or known.outlines == node._current.core.known.outlines
+
+
+def test_another_camera_is_told_and_learned_afresh(node: Any, caplog: pytest.LogCaptureFixture) -> None:
+    scene = Scene([replace(b, place_x_m=2 * b.place_x_m) for b in scattered(10, seed=4)], MEDIUM)
+    for seq in range(44):
+        node._take_frame(replace(scene.frame(seq, 0.03 * seq), run="r1"), 0.033 * seq)
+    assert node._current.core.outlines is not None
+    with caplog.at_level("INFO"):
+        give(node, "r2", range(3))
+    assert node._current.core.outlines is None
+    assert caplog.text.count("is not of this one, its image or its intrinsics are others") == 1
 
 
 @pytest.mark.graph
