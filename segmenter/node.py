@@ -106,7 +106,9 @@ class SegmenterNode:
                     camera_run.close()
 
     def _goes_on(self) -> bool:
+        """Another frame may be looked at before the first one is counted."""
         self._node.progress()
+        self._node.counters.add("frames_looked_first")
         return not self._node.stop.is_set()
 
     def _remember(self) -> None:

@@ -38,6 +38,8 @@ CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 FAST: dict[str, dict[str, Any]] = {"segmenter": {"views_per_tuber": 1}, "regressor": {"precision": "fastest"}}
 """Sections of a replay that weighs as a busy live line does."""
+MOVES = ("frames_looked_first", "frames_processed", "entries_applied")
+"""Counters of nodes that say that a replay goes on."""
 MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
 
@@ -333,7 +335,7 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
             for name, counters in nodes.items():
                 told = belt_findings(counters.name, counters.gauges) if counters.role == "segmenter" else {}
                 findings[name] = found_so_far(findings.get(name, {}), told)
-            done = sum(n.count("frames_processed") + n.count("entries_applied") for n in nodes.values())
+            done = sum(sum(map(n.count, MOVES)) for n in nodes.values())
             if done != last:
                 moved, last = supervisor.own_time_s, done
             limit_s = QUIET_LIMIT_S if done else _start_limit_s(supervisor, observer)

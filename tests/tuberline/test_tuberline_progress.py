@@ -92,6 +92,16 @@ def test_a_replay_says_how_long_its_frames_still_take() -> None:
     assert re.search(r"75% 0:00:0\d", out.getvalue()), out.getvalue()
 
 
+def test_a_replay_says_that_it_looks_first() -> None:
+    out = io.StringIO()
+    with replay_table(80, on=Console(file=out, force_terminal=True, width=80, color_system=None)) as show:
+        for values in ({"frames_looked_first": 30}, {"frames_looked_first": 40, "frames_processed": 20}):
+            show(None, {"segmenter/front": Counters("segmenter", "front", "r", 1, "h", "1", 1.0, values, {})}, set())
+            time.sleep(0.3)
+    assert "looked first at 30 frames" in out.getvalue()
+    assert "looked first" not in out.getvalue().rsplit("25%", 1)[0].rsplit("\n", 1)[1]
+
+
 def test_what_a_resumed_replay_found_done_is_no_pace() -> None:
     """Two cameras of 1000 frames each; half of it was done when they are first heard, one after the other."""
     out = io.StringIO()

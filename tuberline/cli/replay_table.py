@@ -34,7 +34,10 @@ def replay_table(frames: int | None, *, on: Console | None = None) -> Iterator[S
             # What a camera had done when it is first heard, before a --resume for one, says nothing of the pace.
             if done.keys() != before.keys() or any(done[name] < count for name, count in before.items()):
                 bar.reset(task, completed=sum(done.values()))
-            bar.update(task, completed=sum(done.values()))
+            looked = sum(of.count("frames_looked_first") for of in nodes.values())
+            first = looked > 0 and not any(done.values())
+            words = f"looked first at {looked} frames" if first else "frames"
+            bar.update(task, completed=sum(done.values()), description=words)
             before = done
             live.update(Group(line_table(totals, nodes, alive=alive), bar.get_renderable()))
 
