@@ -10,14 +10,16 @@ from typing import Any
 import pytest
 
 from aggregator.calibration.align import align
+from aggregator.calibration.learning import learning_of
 from aggregator.calibration.part import Part
 from aggregator.calibration.single import read_weights
 from aggregator.calibration.tickets import read_tickets
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.writer import Ledger
+from conveyor.camera_flags import OUTLINE_GROWN
 from conveyor.errors import InputError
-from conveyor.messages import Tuber
+from conveyor.messages import TrackEntry, Tuber
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import undisturbed
 from tuberline.cli.calibrate_bucket import calibrate_bucket
@@ -92,6 +94,56 @@ def test_a_bucket_may_be_a_part_of_a_run(line: Line, tmp_path: Path, capsys: pyt
     for wrong in (PartOptions(first=1, last=610), PartOptions(first=0, last=20)):
         with pytest.raises(InputError, match=rf"is (610|0), run .* counted {len(tubers)} tubers, numbered 1 to"):
             calibrate_bucket(folder, kg=kg, weighed=wrong, options=options)
+
+
+def test_a_bucket_that_passed_while_the_camera_was_learned_is_told(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The correction would be of tubers some of which were weighed as no later one is."""
+    _, tubers = line
+    story = tell(11, n=40)
+    logs = {
+        name: [flagged(entry, from_ns=tubers[12].crossed_ns - 1) for entry in log] for name, log in story.logs.items()
+    }
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        undisturbed(ledger, replace(story, logs=logs))
+    kg = sum(tuber.weight_g for tuber in tubers) / 1000
+    calibrate_bucket(tmp_path, kg=kg, options=TicketOptions(tmp_path / "tickets.json"))
+    text = capsys.readouterr().out
+    assert f"the first 12 of these {len(tubers)} tubers were weighed before their camera was known" in text
+    first = tubers[12].tuber_id
+    assert f"(--first {first})" in text
+    options, after = TicketOptions(tmp_path / "after.json"), PartOptions(first=first)
+    calibrate_bucket(
+        tmp_path, kg=sum(t.weight_g for t in tubers[12:]) / 1000, weighed=after, options=options, json=True
+    )
+    assert printed(capsys)["before_camera_known"] == 0
+
+
+def flagged(entry: TrackEntry, *, from_ns: int) -> TrackEntry:
+    track = entry.track
+    grown = track is not None and track.crossed_ns >= from_ns
+    return replace(entry, track=replace(track, flags=(OUTLINE_GROWN,))) if track and grown else entry
+
+
+@pytest.mark.parametrize(
+    ("flags", "before"),
+    [
+        ("........" * 5, 0),
+        ("gggggggg" * 5, 0),
+        ("..gggggg" * 5, 0),  # two are few
+        ("........" + "gggggggg" * 4, 8),
+        ("..............................gg", 30),  # later loads are weighed as the last two are
+        ("............gg" + "........" * 3, 0),  # so few say nothing
+        ("............" + "g.gg.ggg" * 4, 12),
+    ],
+)
+def test_who_was_weighed_before_the_camera_was_known(line: Line, flags: str, before: int) -> None:
+    _, tubers = line
+    some = [replace(tubers[0], tuber_id=n + 1, flags=(OUTLINE_GROWN,) * (c == "g")) for n, c in enumerate(flags)]
+    found = learning_of(some)
+    assert (found.before if found else 0) == before
+    assert found is None or found.first_id == before + 1
 
 
 def test_a_bucket_that_was_also_weighed_one_by_one_is_told(

@@ -44,6 +44,7 @@ def calibrate_bucket(
     json
         Print ticket and correction as JSON on stdout.
     """
+    from aggregator.calibration.learning import learning_in
     from aggregator.calibration.load import bucket_ticket
     from tuberline.cli.calibration_told import after_ticket, as_json
 
@@ -59,7 +60,8 @@ def calibrate_bucket(
         stated_offset_mm=options.resting_offset_mm,
     )
     known = options.add(ticket)
+    learning = learning_in(run_dir, run=ticket.run, part=weighed.part())
     if json:
-        sys.stdout.write(json_module.dumps(as_json(known, ticket), indent=2) + "\n")
+        sys.stdout.write(json_module.dumps(as_json(known, ticket, learning), indent=2) + "\n")
     else:
-        sys.stdout.write(after_ticket(known, ticket, options.tickets))
+        sys.stdout.write(after_ticket(known, ticket, options.tickets, learning))

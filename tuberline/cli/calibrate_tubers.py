@@ -41,6 +41,7 @@ def calibrate_tubers(
     json
         Print ticket and correction as JSON on stdout.
     """
+    from aggregator.calibration.learning import learning_in
     from aggregator.calibration.load import singles_ticket
     from aggregator.calibration.single import read_weights, tuber_half_width
     from tuberline.cli.calibration_told import after_ticket, as_json
@@ -56,12 +57,13 @@ def calibrate_tubers(
         stated_offset_mm=options.resting_offset_mm,
     )
     known = options.add(ticket)
+    learning = learning_in(run_dir, run=ticket.run, part=weighed.part())
     left_rows = [rows[i] for i in laid.weights_left_out]
     left_tubers = [tubers[j].tuber_id for j in laid.tubers_left_out]
     half_width = tuber_half_width(known, ticket)
     if json:
         told = {
-            **as_json(known, ticket),
+            **as_json(known, ticket, learning),
             "left_out": {"rows": left_rows, "tubers": left_tubers},
             "single_tuber_half_width": half_width,
         }
@@ -71,7 +73,7 @@ def calibrate_tubers(
     for what, names in (("weights without a tuber, rows", left_rows), ("tubers without a weight, ids", left_tubers)):
         if names:
             sys.stdout.write(f"left out: {what} {', '.join(map(str, names))}\n")
-    sys.stdout.write(after_ticket(known, ticket, options.tickets))
+    sys.stdout.write(after_ticket(known, ticket, options.tickets, learning))
     sys.stdout.write(
         f"a single tuber is then known to {100 * half_width:.0f} % (holds for 9 of 10, nine calibrations in ten)\n"
         if half_width is not None

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from aggregator.calibration.correction import Correction
+    from aggregator.calibration.learning import Learning
     from aggregator.calibration.leave_one_out import LeftOut
     from aggregator.calibration.tickets import Ticket
 
 
-def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
-    """The ticket, the factor for a typical load, and the correction."""
+def as_json(known: Sequence[Ticket], ticket: Ticket, learning: Learning | None = None) -> dict[str, Any]:
+    """The ticket, the factor for a typical load, and the correction; of the tubers weighed before their camera was
+    known, how many.
+    """
     from aggregator.calibration.apply import load_factor
     from aggregator.calibration.correction import Prior
     from aggregator.calibration.leave_one_out import contradicting
@@ -32,6 +35,7 @@ def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
         "correction": correction_values(correction),
         "contradicting": [entry.ticket.name for entry in against],
         "of_same_tubers": [other.name for other in of_same_tubers(known, ticket)],
+        "before_camera_known": learning.before if learning else 0,
     }
 
 
@@ -50,7 +54,7 @@ def correction_values(correction: Correction) -> dict[str, Any]:
     return {**plain, "loads_differ_by": correction.load_sd, "tickets": dict(correction.used)}
 
 
-def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
+def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path, learning: Learning | None = None) -> str:
     """Lines for the terminal after a ticket was added."""
     from aggregator.calibration.apply import load_factor, told
     from aggregator.calibration.correction import Prior
@@ -75,6 +79,7 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
         ]
     lines += [_doubled(ticket, other, path) for other in of_same_tubers(known, ticket)]
     lines += [warning(entry, path) for entry in contradicting(known, ticket.model, stated_offset_mm=offset_mm)]
+    lines += [learning.told] if learning else []
     lines.append(f'put tickets = "{path}" under [aggregator] of the line\'s file')
     return "\n".join(lines) + "\n"
 
