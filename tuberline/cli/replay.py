@@ -34,6 +34,9 @@ def replay(
 ) -> None:
     """Count and weigh everything in a recording. Writes ledger.db, summary.json and tubers.csv.
 
+    The first 60 bodies are looked at before anything is counted: what the camera does to outlines, and whether the belt
+    carries clods, is then known to the first of them.
+
     Parameters
     ----------
     recording
