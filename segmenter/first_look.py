@@ -15,18 +15,19 @@ from conveyor.errors import InputError
 from conveyor.formats.configured import recorded_source
 from conveyor.formats.source import within_ranges
 from conveyor.messages import Frame
+from conveyor.reasons import TrackRefusal
 from segmenter.known import Known
 from segmenter.pipeline import Segmenter
 from segmenter.setup import run_settings
 
 ENOUGH, MOST_FRAMES = 60, 2000
-"""Bodies, counted or not, after which camera and belt are known: as many as are remembered of either. Frames that are
+"""Tubers, clods and stones after which camera and belt are known: as many as are remembered of either. Frames that are
 looked at for them at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class FirstLook:
-    """What a look at a recording has shown; `known` is None where no belt was seen."""
+    """What a look at a recording has shown; `known` is None where no belt was seen, `bodies` are tubers and others."""
 
     known: Known | None
     frames: int
@@ -57,4 +58,4 @@ def look_first(config: LineConfig, camera: str, *, go_on: Callable[[], bool] = l
 
 
 def _bodies(core: Segmenter) -> int:
-    return core.counted + core.discarded.total()
+    return core.counted + core.discarded[TrackRefusal.DISTRACTOR]

@@ -30,7 +30,7 @@ class Known:
         intrinsics, depth_scale_m, belt_distance_m: the camera that it is known of.
         outlines: what pairs of frames say of each tuber's outline (`OutlineWatch`), the newest tuber last.
         flanks_mm: (n, `flanks.BINS`) millimetres by which flanks of each tuber are raised; NaN where nothing is known.
-        belt: what the tracks say of clods on the belt; None where it may be another belt.
+        belt: what the tracks say of clods on the belt, and of how low the camera makes all answers.
     """
 
     intrinsics: Intrinsics
@@ -38,7 +38,7 @@ class Known:
     belt_distance_m: float
     outlines: tuple[tuple[Comparison, ...], ...]
     flanks_mm: NDArray[np.float64]
-    belt: Prior | None
+    belt: Prior
 
     def unlike(self, frame: Frame, belt: BeltGeometry) -> str:
         """What of the camera is not as it was, in words; empty where all is."""
@@ -51,5 +51,5 @@ class Known:
         return ""
 
     def of_the_camera(self) -> Self:
-        """Without what is known of the belt: another day's may carry other soil."""
-        return replace(self, belt=None)
+        """Without what is known of the belt's clods: another day's may carry other soil."""
+        return replace(self, belt=Prior(newest=self.belt.newest.copy()))

@@ -125,14 +125,13 @@ def _settings_of(config: LineConfig, camera: str) -> str:
 
 
 def _plain(known: Known) -> dict[str, Any]:
-    belt = known.belt
     return {
         "intrinsics": asdict(known.intrinsics),
         "depth_scale_m": known.depth_scale_m,
         "belt_distance_m": known.belt_distance_m,
         "outlines": [[(c.lost_px, c.apart_m, c.px_per_m, c.slip_m) for c in tuber] for tuber in known.outlines],
         "flanks_mm": known.flanks_mm.tolist(),
-        "belt": None if belt is None else {"said": belt.said.tolist(), "newest": list(belt.newest)},
+        "belt": {"said": known.belt.said.tolist(), "newest": list(known.belt.newest)},
     }
 
 
@@ -144,13 +143,12 @@ def _known(raw: dict[str, Any]) -> Known:
         )
         for tuber in raw["outlines"]
     )
-    belt = raw["belt"]
-    said = None if belt is None else np.array(belt["said"], np.float64).reshape(SHARES)
+    said = np.array(raw["belt"]["said"], np.float64).reshape(SHARES)
     return Known(
         intrinsics=Intrinsics(**raw["intrinsics"]),
         depth_scale_m=float(raw["depth_scale_m"]),
         belt_distance_m=float(raw["belt_distance_m"]),
         outlines=outlines,
         flanks_mm=np.array(raw["flanks_mm"], np.float64).reshape(-1, BINS),
-        belt=None if said is None else Prior(said, deque(map(float, belt["newest"]), maxlen=NEWEST)),
+        belt=Prior(said, deque(map(float, raw["belt"]["newest"]), maxlen=NEWEST)),
     )

@@ -182,8 +182,7 @@ class Segmenter:
         if self.unlike_known:
             return
         running.outlines.recall(known.outlines, known.flanks_mm)
-        if known.belt is not None:
-            self._perception.recall(known.belt)
+        self._perception.recall(known.belt)
 
     def _travel_gauge(self, running: BeltSegmenter) -> dict[str, float]:
         missing = self._not_told >= TOLD_WITHIN
