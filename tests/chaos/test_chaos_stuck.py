@@ -40,7 +40,9 @@ def test_one_that_holds_the_interpreter_lock_for_3_s_and_one_frozen_for_4_s_chan
         assert "regressor/r1" in line.observer.alive(), "its token is gone: that is a dead process, not a stuck one"
         line.freeze("regressor-r2", 4.0)
 
-    summary = disturbed_replay(recording, tmp_path / "run", disturb, settings={"segmenter": {"job_deadline_s": 1.0}})
+    # Its 2.8 s at a quarter of their speed: views must still come when the first is stuck.
+    settings = {"segmenter": {"job_deadline_s": 1.0}}
+    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.25, settings=settings)
     assert summary["balanced"]
     assert (summary["restarts"]["regressor-r1"], summary["restarts"]["regressor-r2"]) == (0, 0)
     assert canonical(tmp_path / "run") == canonical(run_dir)
