@@ -369,7 +369,7 @@ class Cameras:
         """Tell what each camera looked at in terms of the line's travel, once that is not the first camera's own."""
         for name, state in self.states.items() if self._line.turns else ():
             for t_ns, _ in state.sight.curve[len(state.sight.line_m) :]:
-                line_m = self._line.travel_m(name, t_ns=t_ns, own_travel_m=state.curve.at(t_ns))
+                line_m = self._line.travel_m(name, t_ns=t_ns, own_travel_m=state.curve.at(t_ns - state.curve.ahead_ns))
                 if line_m is None:
                     break
                 state.sight.line_m.append(line_m)

@@ -14,7 +14,7 @@ from aggregator.core.sight import CameraSight
 from aggregator.ledger.writer import Ledger
 from conveyor.geometry import Intrinsics
 from conveyor.messages import CameraInfo, Tuber
-from tests.aggregator.belt_story import CLOCK_S, Story, tell
+from tests.aggregator.belt_story import CLOCK_S, Stop, Story, tell
 from tests.aggregator.looking_story import look, positions_m
 from tests.aggregator.virtual_line import Aggregator
 
@@ -79,6 +79,11 @@ def shifted(told: Story, camera: str, by_s: float) -> Story:
 
 def counted(told: Story, folder: Path, *, ahead_s: float, reported: bool = True) -> list[Tuber]:
     """The tubers of a live line that hears entries when they are due, and each segmenter's reports."""
+    return counted_on_belt(told, folder, ahead_s=ahead_s, reported=reported)[0]
+
+
+def counted_on_belt(told: Story, folder: Path, *, ahead_s: float, reported: bool = True) -> tuple[list[Tuber], float]:
+    """The same, and how much belt passed in all, metres."""
     lens = Intrinsics(10, 10, 10.0, 10.0, 5.0, 5.0)
     with Ledger(folder) as ledger:
         line = Aggregator(ledger, told)
@@ -99,7 +104,8 @@ def counted(told: Story, folder: Path, *, ahead_s: float, reported: bool = True)
             ledger.write(told.run, core.commit(now_s=now_s))
         ledger.write(told.run, core.commit(now_s=now_s + 100.0))
         assert core.finished
-        return line.tubers()
+        looked = coverage(core.cameras.sights, seen_by={}, moment=core.cameras.moment(now_s, over=True))
+        return line.tubers(), looked.belt_m
 
 
 def _due_s(entry: object, own_s: float) -> float:
@@ -118,6 +124,17 @@ def test_tubers_of_two_hosts_are_those_of_one(ahead_s: float, tmp_path: Path) ->
     assert [t.cameras for t in apart] == [t.cameras for t in alike]
     assert [t.place_x_m for t in apart] == pytest.approx([t.place_x_m for t in alike], abs=1e-4)
     assert [t.weight_g for t in apart] == pytest.approx([t.weight_g for t in alike])
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, -2.0, 3600.0])
+def test_a_belt_is_as_long_by_another_clock(ahead_s: float, tmp_path: Path) -> None:
+    """The second camera ends 0.1 s after the first, which saw bare belt for a while: an hour of belt that never ran."""
+    told = tell(5, cameras=2, estimated=True, n=30, length_m=4.0, stop=Stop(5.0, 1.0))
+    later = shifted(told, "cam1", ahead_s + 0.1)
+    _, belt_m = counted_on_belt(later, tmp_path / "ledger.db", ahead_s=ahead_s)
+    last = told.logs["cam1"][-1].mark
+    assert last is not None
+    assert belt_m == pytest.approx(last.travelled_m, abs=0.2)
 
 
 def test_without_reports_the_clocks_are_taken_to_agree(tmp_path: Path) -> None:
