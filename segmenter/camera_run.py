@@ -78,6 +78,7 @@ class CameraRun:
         self.dispatcher = Dispatcher(settings.dispatch)
         self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)
         self.budget = ViewBudget(settings.core.views_per_tuber, settings.free_share)
+        self._known = known
         self.core = Segmenter(settings.core, known=known)
         self.early = EarlyViews()
         self.provisional = ProvisionalWeights()
@@ -107,7 +108,7 @@ class CameraRun:
             return
         self.ended = mark.final
         resume = resume_after(mark, self.log.since_mark, self.log.speed_mps)
-        self.core = Segmenter(self.settings.core, resume=resume, known=self.core.known)
+        self.core = Segmenter(self.settings.core, resume=resume, known=self._known)
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = views_left(mark.views, self.log.since_mark)
         self._refusals.know(self._base_views)
