@@ -36,6 +36,8 @@ class CameraMemory:
     """
 
     def __init__(self, config: LineConfig, camera: str, log: logging.Logger) -> None:
+        self._config = config
+        self._camera = camera
         folder = config.segmenter.state_dir
         self._live = not config.camera(camera).held_back
         self._path = folder / f"{config.name}.{camera}.known" if self._live and folder is not None else None
@@ -48,9 +50,9 @@ class CameraMemory:
         self._kept_s: float | None = None
         self._failed = False
 
-    def look(self, config: LineConfig, camera: str, *, go_on: Callable[[], bool]) -> None:
+    def look(self, *, go_on: Callable[[], bool]) -> None:
         """Look at the camera's recording, where the config asks for that; else read what an earlier process kept."""
-        look = look_first(config, camera, go_on=go_on)
+        look = look_first(self._config, self._camera, go_on=go_on)
         if look is None:
             self._read()
             return

@@ -93,7 +93,7 @@ class SegmenterNode:
         with self._node as node, ExitStack() as stack:
             stack.enter_context(only_here(self._config.segmenter.state_dir, f"{self._config.name}.{self._camera}"))
             self._open_links(node, stack)
-            self._memory.look(self._config, self._camera, go_on=self._goes_on)
+            self._memory.look(go_on=self._goes_on)
             try:
                 self._open_run(node.run)
                 node.announce()

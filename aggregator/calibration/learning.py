@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from aggregator.calibration.load import counted
-from aggregator.calibration.part import Part
 from conveyor.camera_flags import FLANKS_RAISED, OUTLINE_GROWN, OUTLINE_LOST, SCALED_BY_TRAVEL
 from conveyor.messages import Tuber
 
@@ -37,17 +34,10 @@ class Learning:
         )
 
 
-def learning_in(path: Path, *, run: str, part: Part) -> Learning | None:
-    """Whether the camera was learned meanwhile; None where it was known, or has nothing to be known.
-
-    Raises:
-        LedgerError: no ledger, or not that run.
-    """
-    return learning_of([tuber for tuber in counted(path, run=run).tubers if part.holds(tuber)])
-
-
 def learning_of(tubers: Sequence[Tuber]) -> Learning | None:
-    """The same of `tubers`, in the order in which they crossed."""
+    """Whether the camera was learned while `tubers` crossed, in this order; None where it was known before the first,
+    or has nothing to be known.
+    """
     found: list[Learning] = []
     for flag in LEARNED:
         told = [flag in tuber.flags for tuber in tubers]

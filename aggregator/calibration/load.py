@@ -128,8 +128,8 @@ def bucket_ticket(
     count: int | None = None,
     cultivar: str = "",
     stated_offset_mm: float | None = None,
-) -> Ticket:
-    """The ticket of tubers that passed and were weighed together.
+) -> tuple[Ticket, tuple[Tuber, ...]]:
+    """(ticket of tubers that passed and were weighed together, those tubers in belt order).
 
     Args:
         count: how many were in the bucket by hand; the sum of those seen is scaled to it.
@@ -145,7 +145,7 @@ def bucket_ticket(
     coverage = found.coverage if whole_run else 1.0
     scale = 1.0 / max(coverage, 1e-9) if whole_run else _count_scale(tubers, count, found.run)
     weighed_g = scale * sum(tuber.weight_g for tuber in tubers)
-    return check_ticket(
+    ticket = check_ticket(
         Ticket(
             found.run,
             _model_of(tubers, found.run),
@@ -164,6 +164,7 @@ def bucket_ticket(
             cultivar=cultivar,
         )
     )
+    return ticket, tubers
 
 
 def singles_ticket(

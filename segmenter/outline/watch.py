@@ -154,7 +154,7 @@ class OutlineWatch:
     @property
     def said(self) -> tuple[tuple[Comparison, ...], ...]:
         """What pairs of frames say of each tuber's outline, the newest tuber last."""
-        return tuple(tuple(replace(one, risen_m=None) for one in said) for said in self._said.values())
+        return tuple(map(tuple, self._said.values()))
 
     def recall(self, said: Sequence[tuple[Comparison, ...]], flanks_mm: NDArray[np.float64]) -> None:
         """Begin with what an earlier watch said of the same camera; the tubers that pass next take its tubers' place.
@@ -207,7 +207,7 @@ class OutlineWatch:
             if said is not None and said.risen_m is not None:
                 self.flanks.add(number, said.risen_m)
             if said is not None and (said.lost_px or number in self._said):
-                self._said.setdefault(number, []).append(said)
+                self._said.setdefault(number, []).append(replace(said, risen_m=None))
                 news = True
         while len(self._said) > KEPT:
             del self._said[next(iter(self._said))]

@@ -108,9 +108,10 @@ def test_where_nothing_says_the_offset_it_is_the_one_given(tmp_path: Path) -> No
     assert counted(tmp_path / "run", run=None).stated_offset_mm is None
 
     def ticket(offset_mm: float | None) -> Ticket:
-        return bucket_ticket(
+        found, _ = bucket_ticket(
             tmp_path / "run", run=None, part=Part(), ticket_g=weighed_g, ticket_sd_g=1.0, stated_offset_mm=offset_mm
         )
+        return found
 
     assert [ticket(given).stated_offset_mm for given in (None, 5.5)] == [0.0, 5.5]
 

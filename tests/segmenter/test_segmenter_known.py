@@ -11,7 +11,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from segmenter_scene import MEDIUM, SMALL, Scene, scattered, worn
+from segmenter_scene import MEDIUM, SMALL, Scene, scattered, seen_px, worn
 
 from conveyor.camera_flags import OUTLINE_GROWN
 from conveyor.config import LineConfig, parse_config
@@ -53,7 +53,7 @@ def live(folder: Path, **sections: Any) -> LineConfig:
 def remembered(config: LineConfig, run: str) -> Known | None:
     """What a process knows that starts with this run."""
     memory = CameraMemory(config, "front", LOG)
-    memory.look(config, "front", go_on=lambda: True)
+    memory.look(go_on=lambda: True)
     return memory.known_in(run)
 
 
@@ -112,10 +112,7 @@ def test_what_one_load_has_said_is_taken_off_the_next_from_its_first_tuber(
     assert not flagged(first[1])[0]
     assert all(flagged(again))
     assert core.unlike_known == ""
-    by_place = {
-        round(c.track.place_x_m, 3): np.count_nonzero(c.views[0].depth) for c in first[1] if not flagged([c])[0]
-    }
-    cut = {round(c.track.place_x_m, 3): np.count_nonzero(c.views[0].depth) for c in again}
+    by_place, cut = seen_px([c for c in first[1] if not flagged([c])[0]]), seen_px(again)
     assert by_place
     assert all(cut[place] < 0.95 * pixels for place, pixels in by_place.items())
 

@@ -125,7 +125,7 @@ def test_a_new_run_and_a_new_process_know_the_camera(node: Any, tmp_path: Path) 
     assert node._current.core.outlines == learned
     node._remember()
     later: Any = SegmenterNode(node._config, "front", "r3")
-    later._memory.look(later._config, "front", go_on=later._goes_on)
+    later._memory.look(go_on=later._goes_on)
     known = later._memory.known_in("r3")
     assert (known is not None) == (node._config.segmenter.state_dir is not None)
     assert known is None or known.outlines == node._current.core.known.outlines

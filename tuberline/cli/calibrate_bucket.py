@@ -44,12 +44,12 @@ def calibrate_bucket(
     json
         Print ticket and correction as JSON on stdout.
     """
-    from aggregator.calibration.learning import learning_in
+    from aggregator.calibration.learning import learning_of
     from aggregator.calibration.load import bucket_ticket
     from tuberline.cli.calibration_told import after_ticket, as_json
 
     sd_kg = scale_error_kg if scale_error_kg is not None else max(LEAST_SCALE_KG, SCALE_SHARE * abs(kg))
-    ticket = bucket_ticket(
+    ticket, tubers = bucket_ticket(
         run_dir,
         run=options.run,
         part=weighed.part(),
@@ -60,7 +60,7 @@ def calibrate_bucket(
         stated_offset_mm=options.resting_offset_mm,
     )
     known = options.add(ticket)
-    learning = learning_in(run_dir, run=ticket.run, part=weighed.part())
+    learning = learning_of(tubers)
     if json:
         sys.stdout.write(json_module.dumps(as_json(known, ticket, learning), indent=2) + "\n")
     else:

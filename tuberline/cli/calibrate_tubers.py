@@ -41,7 +41,7 @@ def calibrate_tubers(
     json
         Print ticket and correction as JSON on stdout.
     """
-    from aggregator.calibration.learning import learning_in
+    from aggregator.calibration.learning import learning_of
     from aggregator.calibration.load import singles_ticket
     from aggregator.calibration.single import read_weights, tuber_half_width
     from tuberline.cli.calibration_told import after_ticket, as_json
@@ -57,7 +57,7 @@ def calibrate_tubers(
         stated_offset_mm=options.resting_offset_mm,
     )
     known = options.add(ticket)
-    learning = learning_in(run_dir, run=ticket.run, part=weighed.part())
+    learning = learning_of(tubers)
     left_rows = [rows[i] for i in laid.weights_left_out]
     left_tubers = [tubers[j].tuber_id for j in laid.tubers_left_out]
     half_width = tuber_half_width(known, ticket)
