@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import logging
-import signal
 import sys
 import threading
 import time
@@ -26,6 +25,7 @@ from conveyor.delivery.kept import KeptSubscriber
 from conveyor.delivery.presence import Presence
 from conveyor.messages import Counters
 from conveyor.session import open_client
+from conveyor.signals import stop_when_told
 
 EVERY_S = 0.2
 
@@ -49,7 +49,7 @@ class Watch:
 def main(config: str) -> None:
     """Watch the line of `config` until SIGTERM."""
     stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    stop_when_told(stop)
     line = load_config(Path(config))
     with open_client(line.link, name="viewer/probe") as session:
         watch = Watch(session, line.name)

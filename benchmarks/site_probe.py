@@ -6,7 +6,6 @@ Writes one JSON line a fifth of a second: what has passed and who is alive. On S
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
 import time
@@ -18,6 +17,7 @@ from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.messages import View, Weight
 from conveyor.observer import Observer
+from conveyor.signals import stop_when_told
 
 EVERY_S = 0.2
 
@@ -49,7 +49,7 @@ class Passing:
 def main(router: str, line: str) -> None:
     """Watch `line` at `router` until SIGTERM."""
     stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    stop_when_told(stop)
     passing = Passing()
     with Observer(LinkConfig(router=router), line=line) as observer:
         session = observer.session

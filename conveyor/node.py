@@ -12,12 +12,11 @@ import contextlib
 import faulthandler
 import logging
 import os
-import signal
 import socket
 import sys
 import threading
 import time
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any, Self
 
 import zenoh
@@ -32,6 +31,7 @@ from conveyor.logs import flush_outputs
 from conveyor.messages import Counters
 from conveyor.notify import notify
 from conveyor.session import join_router
+from conveyor.signals import when_told_to_end
 from conveyor.taken import Namesake
 from conveyor.topics import check_name
 
@@ -70,8 +70,7 @@ class Node:
         Raises:
             TakenError: a node of this name lives already.
         """
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+        when_told_to_end(self._told_to_end)
         session = join_router(self.config.link, name=f"{self.role}/{self.name}", stop=self.stop, log=self.log)
         if session is None:
             raise SystemExit(0)
@@ -200,7 +199,7 @@ class Node:
             self.log.error("%s", other)
             self._end(PERMANENT)
 
-    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+    def _told_to_end(self, number: int) -> None:
         notify("STOPPING=1")
         self.stop.set()
         self._leave_within(STOP_WITHIN_S, f"of signal {number}", code=FAULT)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
-import threading
 
 
 def notify(state: str) -> None:
@@ -26,14 +24,3 @@ def notify(state: str) -> None:
 def still_starting(seconds: float) -> None:
     """Starting is fine so far, and takes up to `seconds` more."""
     notify(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}")
-
-
-def stop_when_told(stop: threading.Event) -> None:
-    """SIGTERM and Ctrl-C set `stop`, and the manager hears that this process was told to end: it did not finish."""
-
-    def told(*_: object) -> None:
-        notify("STOPPING=1")
-        stop.set()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, told)

@@ -33,7 +33,8 @@ def alarms(config: Path, *, test: bool = False) -> None:
     if test:
         _try(line.name, channels)
         return
-    from conveyor.notify import notify, stop_when_told
+    from conveyor.notify import notify
+    from conveyor.signals import stop_when_told
     from tuberline.alarms.service import STEP_EVERY_S, AlarmService
 
     stop = threading.Event()

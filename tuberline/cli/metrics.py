@@ -17,9 +17,10 @@ def metrics(*, address: LineAddress = NO_ADDRESS, listen: str = "127.0.0.1:9108"
     listen
         HOST:PORT to serve /metrics on; 127.0.0.1 unless Prometheus runs elsewhere.
     """
-    from conveyor.notify import notify, stop_when_told
+    from conveyor.notify import notify
     from conveyor.observer import Observer
     from conveyor.served import ServedAt
+    from conveyor.signals import stop_when_told
     from tuberline.metrics import serving
 
     at = ServedAt.parse(listen, option="--listen", example="127.0.0.1:9108")

@@ -52,8 +52,9 @@ def page(
         empty file.
     """
     from conveyor.access import known_nodes
-    from conveyor.notify import notify, stop_when_told
+    from conveyor.notify import notify
     from conveyor.served import ServedAt
+    from conveyor.signals import stop_when_told
     from viewer.page.acting import Acting
     from viewer.page.board import Board
     from viewer.page.maps import FieldMaps

@@ -10,8 +10,9 @@ from pathlib import Path
 from conveyor.access import router_access
 from conveyor.config import LineConfig, load_config
 from conveyor.heap import GIVE_BACK_EVERY_S, give_back
-from conveyor.notify import notify, stop_when_told
+from conveyor.notify import notify
 from conveyor.session import open_router
+from conveyor.signals import stop_when_told
 from conveyor.taken_port import check_port_free
 from tuberline.cli.address import endpoint
 

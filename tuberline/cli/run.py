@@ -12,8 +12,8 @@ from pathlib import Path
 
 from conveyor.config import LineConfig, load_config
 from conveyor.errors import ConfigError, TuberlineError
-from conveyor.notify import stop_when_told
 from conveyor.observer import observer_when_there
+from conveyor.signals import stop_when_told
 from conveyor.taken_port import check_port_free
 from tuberline.cli.named_files import check_access, unreadable_files
 from tuberline.processes import line_processes
