@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_flags import OUTLINE_GROWN
+from conveyor.camera_flags import SCRAPS_CUT
 from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, is_parted, pixel_width_m, step_units
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
@@ -125,7 +125,7 @@ class _Look:
 
 
 def prepare_view(view: View) -> PreparedCloud:
-    """The view's cloud, over its own resting level; an outline that its camera let grow is cut back (`grown`).
+    """The view's cloud, over its own resting level; scraps around its outline are cut off (`grown`).
 
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
@@ -140,7 +140,7 @@ def prepare_view(view: View) -> PreparedCloud:
     if cut is None:
         return _prepare_kept(kept, depth, missing, look, parted=parted)
     cloud = _prepare_kept(look.clean(cut), cut, missing, look, parted=parted)
-    return replace(cloud, flags=(*cloud.flags, OUTLINE_GROWN))
+    return replace(cloud, flags=(*cloud.flags, SCRAPS_CUT))
 
 
 def prepare_depth(

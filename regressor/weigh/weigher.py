@@ -71,8 +71,8 @@ class Weigher:
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance' (outside what the training saw, or farther away than intervals were calibrated),
     'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the visible volume says otherwise),
-    'camera_unlike' (noise and holes of a poor camera), 'outline_grown' (its camera let the outline grow; it was cut
-    back), 'rows_missing' (its camera left out rows or columns; they were filled), 'in_parts' (its outline falls into
+    'camera_unlike' (noise and holes of a poor camera), 'scraps_cut' (scraps around its outline were cut off),
+    'rows_missing' (its camera left out rows or columns; they were filled), 'in_parts' (its outline falls into
     parts, weighed together), 'bfloat16', 'centroids_16' and 'batched' (not computed in the exact form).
     """
 

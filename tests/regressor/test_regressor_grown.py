@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conveyor.camera_flags import OUTLINE_GROWN
+from conveyor.camera_flags import SCRAPS_CUT
 from conveyor.messages import View
 from regressor.weigh.grown import LEAST_SHARE, MOST_DROPPED, cut_back
 from regressor.weigh.prepare import prepare_view
@@ -37,7 +37,7 @@ def test_what_a_camera_grew_beyond_a_gap_is_cut_off(over: float) -> None:
     clean, grown = prepare_view(view), prepare_view(with_scraps(view, 0.65, over=over))
     assert grown.surface.area_cm2 == pytest.approx(clean.surface.area_cm2, rel=0.01)
     assert grown.surface.volume_ml == pytest.approx(clean.surface.volume_ml, rel=0.01)
-    assert (clean.flags, grown.flags) == ((), (OUTLINE_GROWN,))
+    assert (clean.flags, grown.flags) == ((), (SCRAPS_CUT,))
 
 
 @pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.45, False), (0.65, True)])
@@ -68,7 +68,7 @@ def test_a_hole_in_the_skin_cuts_nothing_off() -> None:
     inner = slice(depth.shape[0] // 4, -(depth.shape[0] // 4))
     depth[inner, middle : middle + 3] = 0
     grown = prepare_view(replace(view, depth=depth))
-    assert grown.flags == (OUTLINE_GROWN,)
+    assert grown.flags == (SCRAPS_CUT,)
     assert grown.surface.area_cm2 == pytest.approx(prepare_view(ellipsoid_view()).surface.area_cm2, rel=0.01)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import ViewSimulator
-from conveyor.camera_flags import OUTLINE_GROWN
+from conveyor.camera_flags import SCRAPS_CUT
 from conveyor.crop_depth import MOST_MISSING, is_parted
 from regressor.weigh.prepare import MISSING, PARTS, prepare_view
 from regressor.weigh.weigher import PARTED, Weigher
@@ -33,11 +33,11 @@ def gapped(depth: NDArray[np.uint16], *, left: int, wide: int, turned: bool, las
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize(("left", "wide"), [(1, 9), (3, 9), (3, 16), (8, 12), (12, 24)])
 def test_what_a_wide_gap_leaves_of_an_end_is_told(left: int, wide: int, turned: bool, last: bool) -> None:
-    """No flag, or `outline_grown` alone, where less than a tenth lay beyond: 2 to 47 % light, with a usual interval."""
+    """No flag, or `scraps_cut` alone, where less than a tenth lay beyond: 2 to 47 % light, with a usual interval."""
     view = ellipsoid_view(HALF_AXES_M)
     parted = prepare_view(replace(view, depth=gapped(view.depth, left=left, wide=wide, turned=turned, last=last)))
     assert PARTS in parted.flags
-    assert set(parted.flags) <= {PARTS, OUTLINE_GROWN}
+    assert set(parted.flags) <= {PARTS, SCRAPS_CUT}
     assert parted.surface.volume_ml < prepare_view(view).surface.volume_ml
 
 
