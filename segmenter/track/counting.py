@@ -37,7 +37,8 @@ class CountSettings:
         sliver_area_m2, sliver_height_m: and it is smaller and higher than this; what stands free is a tuber on end.
         fragment_area_m2, fragment_contact: a fragment of an over-segmented tuber is smaller than this, shares more
             than this of its outline, and
-        fragment_share: was one with a larger instance in more than this share of the frames that had its place in view;
+        fragment_share: was one with a larger instance in more than this share of the frames that had its place in view,
+        enclosed_share, enclosed_contact: or in more than this one where it shares more than this of its outline;
         hidden_area_m2, fragment_seen: or it is smaller than this and stood apart in less than this share of them.
         steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber,
         knob_width_m: unless it is narrower than this, was seen whole and is more slender than `max_slender`.
@@ -59,7 +60,9 @@ class CountSettings:
     sliver_height_m: float = 0.033
     fragment_area_m2: float = 3500e-6
     fragment_contact: float = 0.2
-    fragment_share: float = 0.12
+    fragment_share: float = 0.22
+    enclosed_share: float = 0.12
+    enclosed_contact: float = 0.75
     hidden_area_m2: float = 2000e-6
     fragment_seen: float = 0.75
     steady_share: float = 0.9
@@ -156,7 +159,8 @@ def _is_fragment(track: TrackState, in_view: int, settings: CountSettings) -> bo
     contact = median(h.contact for h in track.hits)
     if track.area_m2 >= settings.fragment_area_m2 or contact <= settings.fragment_contact:
         return False
-    swallowed = track.covered >= max(2.0, settings.fragment_share * in_view)
+    share = settings.enclosed_share if contact > settings.enclosed_contact else settings.fragment_share
+    swallowed = track.covered >= max(2.0, share * in_view)
     hidden = track.area_m2 < settings.hidden_area_m2 and _apart(track) + 2 < settings.fragment_seen * in_view
     return swallowed or hidden
 
