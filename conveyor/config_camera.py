@@ -89,7 +89,7 @@ class CameraConfig(Section):
     @property
     def pace(self) -> float | None:
         """Seconds of its clock in one of ours; None where the line holds it back or takes it as fast as it can."""
-        if self.source != "recording":
+        if self.of_today:
             return 1.0
         return None if self.waits or self.speed == 0 else self.speed
 
