@@ -38,7 +38,8 @@ class CountSettings:
         fragment_area_m2, fragment_contact: a fragment of an over-segmented tuber is smaller than this, shares more
             than this of its outline, and
         fragment_share: was one with a larger instance in more than this share of the frames that had its place in view,
-        enclosed_share, enclosed_contact: or in more than this one where it shares more than this of its outline;
+        wide_share: or this, where it is as wide as `knob_width_m`,
+        enclosed_contact: and shares at most this of its outline;
         hidden_area_m2, fragment_seen: or it is smaller than this and stood apart in less than this share of them.
         steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber,
         knob_width_m: unless it is narrower than this, was seen whole and is more slender than `max_slender`.
@@ -60,8 +61,8 @@ class CountSettings:
     sliver_height_m: float = 0.033
     fragment_area_m2: float = 3500e-6
     fragment_contact: float = 0.2
-    fragment_share: float = 0.22
-    enclosed_share: float = 0.12
+    fragment_share: float = 0.12
+    wide_share: float = 0.22
     enclosed_contact: float = 0.75
     hidden_area_m2: float = 2000e-6
     fragment_seen: float = 0.75
@@ -138,7 +139,7 @@ def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: 
     """
     if width_m < settings.min_width_m:
         return TrackRefusal.THIN
-    if _is_fragment(track, in_view, settings):
+    if _is_fragment(track, width_m, in_view, settings):
         return TrackRefusal.SLIVER
     height_m = median(h.volume_m3 / h.area_m2 for h in track.hits) / ROUND_FILL
     slender = height_m / width_m
@@ -154,12 +155,13 @@ def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: 
     return TrackRefusal.SLIVER if mostly_seam or narrow else None
 
 
-def _is_fragment(track: TrackState, in_view: int, settings: CountSettings) -> bool:
+def _is_fragment(track: TrackState, width_m: float, in_view: int, settings: CountSettings) -> bool:
     """`in_view`: frames that had the track's place in view so far."""
     contact = median(h.contact for h in track.hits)
     if track.area_m2 >= settings.fragment_area_m2 or contact <= settings.fragment_contact:
         return False
-    share = settings.enclosed_share if contact > settings.enclosed_contact else settings.fragment_share
+    wide = width_m >= settings.knob_width_m and contact <= settings.enclosed_contact
+    share = settings.wide_share if wide else settings.fragment_share
     swallowed = track.covered >= max(2.0, share * in_view)
     hidden = track.area_m2 < settings.hidden_area_m2 and _apart(track) + 2 < settings.fragment_seen * in_view
     return swallowed or hidden

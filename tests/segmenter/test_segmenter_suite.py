@@ -95,6 +95,7 @@ def test_a_knob_that_is_always_apart_is_known_by_its_shape(
             267.6,
             "sliver",
         ),  # a piece of one of 544 g on end, all around it: it counted instead
+        (11, 2, 16, 21, 619, 0.38, 14.1, "sliver"),  # one of a tuber of 552 g, in two frames one with it
         (10, 4, 15, 25, 834, 0.42, 17.5, "sliver"),  # one of a tuber of 377 g
     ],
 )
