@@ -13,9 +13,10 @@ DENSITY_G_PER_MM3 = 1.07e-3
 """Of 339 tubers weighed in air and water (1.071 g/ml +- 0.021)."""
 
 K_OUTLINE = 0.75
-"""Share of density times outline (pi/4 of length times width by caliper) that a shift is worth as the shipped weights
-weigh; `python -m benchmarks sensitivity` fits it to simulated views lowered by 1 to 6 mm: 0.77 (easy) and 0.73 (field),
-scattering by 14 % from tuber to tuber."""
+"""Share of density times outline (pi/4 of length times width by caliper) that a shift is worth. Ledgers hold sums made
+with it, which are compared with their tubers: another value needs a migration. `python -m benchmarks sensitivity` fits
+it to simulated views lowered by 1 to 6 mm: 0.77 (easy) and 0.73 (field) by the weights that it was chosen with, 0.84
+and 0.82 by those of 28 November; two whole recordings say 0.80."""
 
 LEDGER_OUTLINE = 1.14
 """Length times width in the ledger over that by caliper: the segmenter's outlines are some 7 % wide of the tuber (1.11,
