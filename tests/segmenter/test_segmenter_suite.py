@@ -85,16 +85,7 @@ def test_a_knob_that_is_always_apart_is_known_by_its_shape(
         (12, 3, 15, 36, 1185, 0.25, 31.0, None),  # 26 g
         (14, 2, 16, 51, 2095, 0.24, 67.5, None),  # 60 g
         (11, 4, 15, 36, 1258, 0.37, 35.2, "sliver"),  # a fragment of a tuber of 289 g
-        (
-            10,
-            3,
-            15,
-            56,
-            2828,
-            1.00,
-            267.6,
-            "sliver",
-        ),  # a piece of one of 544 g on end, all around it: it counted instead
+        (10, 3, 15, 56, 2828, 1.00, 267.6, "sliver"),  # a piece of one of 544 g, which is all around it
         (11, 2, 16, 21, 619, 0.38, 14.1, "sliver"),  # one of a tuber of 552 g, in two frames one with it
         (10, 4, 15, 25, 834, 0.42, 17.5, "sliver"),  # one of a tuber of 377 g
     ],
