@@ -10,9 +10,10 @@ from conveyor.config import parse_config
 
 
 def test_a_live_camera_keeps_its_clocks_pace_and_a_recording_its_speed(tmp_path: Path) -> None:
-    """Only a recording that is held back, or played as fast as it goes, has a pace that its marks must tell. One that is
-    played by the clock is stamped with the time of the day, at any speed: at half of it a stopped line told half of the
-    belt that had run under a router that stood still.
+    """Only a recording that is held back, or played as fast as it goes, has a pace that its marks must tell.
+
+    One that is played by the clock is stamped with the time of the day, at any speed: at half of it a stopped line told
+    half of the belt that had run under a router that stood still.
     """
     cameras = {
         "device": {"source": "realsense"},

@@ -80,7 +80,7 @@ def test_more_evidence_for_a_clod_never_makes_it_likelier_to_be_counted() -> Non
 def test_a_camera_before_which_no_tuber_is_clear_has_its_answers_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where depth was matched of two small images: the best of forty tubers get answers of 1 to 2."""
     low = np.random.default_rng(33).normal(-0.4, 1.8, 300).tolist()
-    assert after(low).added == pytest.approx(MOST_ADDED, abs=0.2)
+    assert after(low).added == pytest.approx(MOST_ADDED * NEWEST / (NEWEST + FEW))
     refused = refused_of(low)
     monkeypatch.setattr(prior_module, "MOST_ADDED", 0.0)
     assert refused_of(low) >= 10
@@ -109,7 +109,7 @@ def test_what_is_added_grows_with_the_answers_in_the_gap_and_with_their_number()
     assert few.added == MOST_ADDED / 2
     of_sixty = [after([0.5] * n + [TUBER] * (60 - n)).added for n in range(0, 61, 5)]
     assert of_sixty == sorted(of_sixty)
-    assert of_sixty[3] == 0  # a quarter is usual
+    assert of_sixty[2] == 0 < of_sixty[3]  # a fifth is usual
     assert of_sixty[-1] == pytest.approx(MOST_ADDED * 60 / (60 + FEW))
     assert after([0.5] * 60 + [TUBER] * 60).added == 0  # the camera's lens was cleaned
 
