@@ -200,7 +200,6 @@ class Node:
             self._end(PERMANENT)
 
     def _told_to_end(self, number: int) -> None:
-        notify("STOPPING=1")
         self.stop.set()
         self._leave_within(STOP_WITHIN_S, f"of signal {number}", code=FAULT)
 

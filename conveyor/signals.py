@@ -15,7 +15,8 @@ from conveyor.notify import notify
 
 
 def when_told_to_end(act: Callable[[int], None]) -> None:
-    """From here on SIGTERM and Ctrl-C call `act` with their number, on another thread, which may take any lock.
+    """From here on SIGTERM and Ctrl-C call `act` with their number, on another thread, which may take any lock; the
+    manager hears first that this process was told to end: it did not finish.
 
     Call it in the main thread.
     """
@@ -23,7 +24,9 @@ def when_told_to_end(act: Callable[[int], None]) -> None:
 
     def watch() -> None:
         while True:
-            act(told.get())
+            number = told.get()
+            notify("STOPPING=1")
+            act(number)
 
     threading.Thread(target=watch, name="told", daemon=True).start()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -31,10 +34,5 @@ def when_told_to_end(act: Callable[[int], None]) -> None:
 
 
 def stop_when_told(stop: threading.Event) -> None:
-    """SIGTERM and Ctrl-C set `stop`, and the manager hears that this process was told to end: it did not finish."""
-
-    def told(_number: int) -> None:
-        notify("STOPPING=1")
-        stop.set()
-
-    when_told_to_end(told)
+    """SIGTERM and Ctrl-C set `stop`, as `when_told_to_end` says."""
+    when_told_to_end(lambda _number: stop.set())
