@@ -17,6 +17,8 @@ from conveyor.geometry import height_coefficients
 from conveyor.kernels import kernel
 from conveyor.messages import View
 
+SCRAPS_CUT = "scraps_cut"
+"""Flag of a view whose scraps were cut off before it was weighed."""
 OPENING_PX = 5
 """What is narrower than such a disc is a scrap. With 3 px, loads seen by cameras that grow outlines stay 1 to 2 %
 heavier (tuned, as all here, on recordings of `easy`, `field` and `harsh`, as they were and with frames grown by 2 px).

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_flags import SCRAPS_CUT
 from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, is_parted, pixel_width_m, step_units
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
@@ -22,7 +21,7 @@ from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.kernels import kernel
 from conveyor.messages import View
 from regressor.weigh.finer import finer, times_finer
-from regressor.weigh.grown import cut_back, view_heights_m
+from regressor.weigh.grown import SCRAPS_CUT, cut_back, view_heights_m
 from regressor.weigh.outline import angle_image
 from regressor.weigh.pixel_grid import gridded
 from regressor.weigh.place import HIGHEST_RIM_M, LOWEST_TOP_M, OFF_THE_BELT, distances_told

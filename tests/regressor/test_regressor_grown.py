@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from conveyor.camera_flags import SCRAPS_CUT
 from conveyor.messages import View
-from regressor.weigh.grown import LEAST_SHARE, MOST_DROPPED, cut_back
+from regressor.weigh.grown import LEAST_SHARE, MOST_DROPPED, SCRAPS_CUT, cut_back
 from regressor.weigh.prepare import prepare_view
 from tests.regressor.ellipsoids import ellipsoid_view
 

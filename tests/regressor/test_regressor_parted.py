@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import ViewSimulator
-from conveyor.camera_flags import SCRAPS_CUT
 from conveyor.crop_depth import MOST_MISSING, is_parted
+from regressor.weigh.grown import SCRAPS_CUT
 from regressor.weigh.prepare import MISSING, PARTS, prepare_view
 from regressor.weigh.weigher import PARTED, Weigher
 from tests.regressor.ellipsoids import ellipsoid_view
