@@ -38,8 +38,7 @@ class CountSettings:
         fragment_area_m2, fragment_contact: a fragment of an over-segmented tuber is smaller than this, shares more
             than this of its outline, and
         fragment_share: was one with a larger instance in more than this share of the frames that had its place in view,
-        wide_share: or this, where it is as wide as `knob_width_m`,
-        enclosed_contact: and shares at most this of its outline;
+        wide_share: or, where it is as wide as `knob_width_m` and shares at most `enclosed_contact`, in more than this;
         hidden_area_m2, fragment_seen: or it is smaller than this and stood apart in less than this share of them.
         steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber,
         knob_width_m: unless it is narrower than this, was seen whole and is more slender than `max_slender`.
