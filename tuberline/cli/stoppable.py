@@ -44,7 +44,7 @@ def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
             raise
         stopped.set()
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN if stopped.is_set() else former)
+        signal.signal(signal.SIGINT, _heard_already if stopped.is_set() else former)
         signal.set_wakeup_fd(former_fd)
         ended.set()
         os.close(write)
@@ -61,8 +61,12 @@ def leave() -> NoReturn:
 
 
 def _interrupt(_number: int, _frame: object) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not break into what the first one began
+    signal.signal(signal.SIGINT, _heard_already)  # a second Ctrl-C must not break into what the first one began
     raise KeyboardInterrupt
+
+
+def _heard_already(_number: int, _frame: object) -> None:
+    """Of one that came before this was set Python would write an error if it were then to be ignored (`SIG_IGN`)."""
 
 
 def _leave_at_last(read: int, ended: threading.Event, how_far: Callable[[], str]) -> None:
