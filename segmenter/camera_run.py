@@ -303,7 +303,7 @@ class CameraRun:
             return None
         if self.ended:
             return self._mark(final=True) if len(self.weighing) == 0 else self._mark_after_the_end()
-        if self.frames.processed == 0 or self._newest_ns == 0:
+        if self.frames.processed == 0 or self._newest_ns == 0 or self._repeats:
             return None
         if self._marked is not None:
             waited_ns, moved_m = self._newest_ns - self._marked[0], abs(self.core.travel_m - self._marked[1])
@@ -312,6 +312,12 @@ class CameraRun:
             self._marked_speed = (self.core.travel_m - self._marked[1]) / max(waited_ns, 1)
         self._marked = (self._newest_ns, self.core.travel_m)
         return self._mark(final=False)
+
+    @property
+    def _repeats(self) -> bool:
+        """A replay that started again is not yet where its log ends: what was looked at before stays looked at."""
+        before = self.log.last_mark
+        return self.settings.replays and before is not None and self._newest_ns <= before.captured_ns
 
     def _mark_after_the_end(self) -> Mark | None:
         """Views are still weighed: a mark where that let as much belt become certain as there is between two marks."""

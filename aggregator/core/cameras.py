@@ -294,8 +294,9 @@ class Cameras:
     ) -> None:
         """A camera as the ledger knows it; `curve` are samples (as `TravelCurve.add` takes them), oldest first."""
         state = self.states[camera]
-        state.marks, state.mark = list(marks), marks[-1] if marks else None
-        state.sight = sight
+        state.marks, state.mark, state.sight = list(marks), marks[-1] if marks else None, sight
+        if state.mark is not None and not state.final:  # tracks that wait are taken off that, not off what a stop left
+            sight.complete_ns = state.mark.complete_ns
         state.curve.ahead_ns = sight.ahead_ns
         for captured_ns, travel_m, carried_ms in curve:
             state.curve.add(captured_ns, travel_m, carried_ms)

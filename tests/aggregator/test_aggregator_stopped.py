@@ -127,6 +127,27 @@ def test_a_ledger_knows_of_a_run_that_it_was_stopped_until_it_goes_on(tmp_path: 
     assert not any(known)
 
 
+def test_a_line_that_is_stopped_again_and_again_has_seen_what_it_saw(tmp_path: Path) -> None:
+    """Belt whose tubers waited for the other camera was taken off once more at each stop."""
+    story, seen, waiting = tell(5, cameras=2, n=20, length_m=2.0), [], []
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, story.in_run(fresh_run("now")))
+        for name, entries in zip(story.names, (20, 10), strict=True):
+            for n in range(1, entries + 1):
+                it.receive(name, n)
+        it.commit()
+        for _ in range(3):
+            moment = it.core.cameras.moment(it.now_s, over=True, waiting_m=it.core.waiting_m())
+            ledger.stopped(it.core.run, at_rest(it.core.cameras.sights, moment))
+            kept = ledger.sums(it.core.run).sights
+            seen.append(coverage(kept, seen_by={}, moment=Moment(over=True)).cameras)
+            waiting.append(max(it.core.waiting_m().values()))
+            it.start()
+    assert min(waiting) > 0.05, "no tuber waits: the test tests nothing"
+    for again in seen[1:]:
+        assert again == pytest.approx(seen[0], abs=0.002)
+
+
 def test_who_asks_whether_a_ledger_is_written_keeps_no_writer_out(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     assert not is_being_written(path)
