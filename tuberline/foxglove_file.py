@@ -30,16 +30,22 @@ if TYPE_CHECKING:
     from viewer.foxglove.pen import Pen
 
 
+GIVE_RECORDING = "give the recording of the run with --recording RECORDING"
+WITHIN_NS = 1_000_000_000
+"""All tubers of a run crossed between the first and the last frame of its recording, to so much."""
+
+
 @dataclass(frozen=True, slots=True)
 class Counted:
     """What a ledger says of a run: its tubers, its belt's travel where the frames do not say it, its last totals.
 
-    `travel` holds (capture time, metres) in order of time.
+    `travel` holds (capture time, metres) in order of time. `cameras` are those that it counted with.
     """
 
     tubers: tuple[Tuber, ...] = ()
     travel: tuple[tuple[int, float], ...] = ()
     totals: Totals | None = None
+    cameras: tuple[str, ...] = ()
 
     def travel_at(self, captured_ns: int) -> float | None:
         """Travel by the marks of the first camera's log, interpolated; None outside of them."""
@@ -72,7 +78,7 @@ def write_foxglove(
     ledger.
 
     Raises:
-        InputError: what cannot be read, or a run whose recording is not there.
+        InputError: what cannot be read, a run whose recording is not there, or another one's recording.
         ConfigError: foxglove-sdk is not installed.
     """
     from viewer.foxglove.mcap_file import McapOutlet
@@ -86,6 +92,12 @@ def write_foxglove(
         open_source(frames, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
         for name in camera_names(frames)
     ]
+    if len(sources) < len(counted.cameras):
+        names = ", ".join(one.description.name for one in sources)
+        raise InputError(
+            f"{frames} is not the recording of {source}: its cameras are {names}, and the run counted with "
+            f"{', '.join(counted.cameras)}; {GIVE_RECORDING}"
+        )
     total = sum(one.description.frames or 0 for one in sources)
     refused: Counter[str] = Counter()
     texts: list[str] = []
@@ -101,6 +113,11 @@ def write_foxglove(
                 outlet.come_to(item.captured_ns)
                 done += 1
             on_frame(done + refused.total(), total)
+        if (at_s := story.crossed_outside_s()) is not None:
+            raise InputError(
+                f"{frames} is not the recording of {source}: a tuber of the run crossed {abs(at_s):.1f} s "
+                f"{'after its last' if at_s > 0 else 'before its first'} frame; {GIVE_RECORDING}"
+            )
         story.end()
     return Converted(done, dict(refused), tuple(texts[:10]))
 
@@ -114,11 +131,14 @@ class _Story:
         self._belt, self._load = BeltScene(PROFILES["full"]), LoadScene()
         self._to_come = sorted(counted.tubers, key=lambda tuber: tuber.place_x_m)
         self._to_cross = sorted(counted.tubers, key=lambda tuber: (-tuber.crossed_ns, -tuber.tuber_id))
+        self._first_ns: int | None = None
         self._newest_ns = 0
         self._say([*self._belt.opening(), *self._load.opening()])
 
     def frame(self, frame: Frame) -> None:
         """One picture with what rides in it."""
+        if self._first_ns is None:
+            self._first_ns = frame.captured_ns
         self._newest_ns = max(self._newest_ns, frame.captured_ns)
         self._say(self._belt.on_frame(frame))
         travel_m = frame.travel_m
@@ -129,6 +149,18 @@ class _Story:
             return
         while self._to_come and self._to_come[-1].place_x_m + travel_m >= self._belt.enters_at_m:
             self._say(self._belt.on_tuber(self._to_come.pop()))
+
+    def crossed_outside_s(self) -> float | None:
+        """By how much a tuber crossed before the first frame (below 0) or after the last one; None where all crossed
+        between them, to a second.
+        """
+        if self._first_ns is None:
+            return None
+        for tuber in self._counted.tubers:
+            for ends_ns, sign in ((self._first_ns, -1), (self._newest_ns, 1)):
+                if sign * (tuber.crossed_ns - ends_ns) > WITHIN_NS:
+                    return (tuber.crossed_ns - ends_ns) / 1e9
+        return None
 
     def end(self) -> None:
         """What crossed with the last frames, and the load."""
@@ -157,7 +189,7 @@ def _counted(source: Path, run: str | None) -> Counted:
         marks = read_coverage(view, row.run, row.cameras[0], limit=10_000_000, newest=False) if row.cameras else []
         travel = sorted((int(mark[3]), float(mark[4])) for mark in marks)
         summary = read_summary(view, row.run)
-        return Counted(tuple(read_tubers(view, row.run)), tuple(travel), _totals(summary))
+        return Counted(tuple(read_tubers(view, row.run)), tuple(travel), _totals(summary), row.cameras)
 
 
 def _totals(summary: str | None) -> Totals | None:
@@ -174,14 +206,13 @@ def _recording_of(source: Path) -> Path:
     """The recording that a run was made of, by the settings beside its ledger."""
     folder = source if source.is_dir() else source.parent
     settings = folder / CONFIG_FILE
-    give = "give the recording of the run with --recording RECORDING"
     if not settings.is_file():
-        raise InputError(f"{folder} has no {CONFIG_FILE} that names the recording; {give}")
+        raise InputError(f"{folder} has no {CONFIG_FILE} that names the recording; {GIVE_RECORDING}")
     paths = {camera.path for camera in load_config(settings).cameras.values() if camera.path is not None}
     if len(paths) != 1:
         said = "no recording" if not paths else f"{len(paths)} recordings"
-        raise InputError(f"{settings} names {said}; {give}")
+        raise InputError(f"{settings} names {said}; {GIVE_RECORDING}")
     path = paths.pop()
     if not path.exists():
-        raise InputError(f"{settings} names the recording {path}, which is not there; {give}")
+        raise InputError(f"{settings} names the recording {path}, which is not there; {GIVE_RECORDING}")
     return path

@@ -8,10 +8,11 @@ import pytest
 
 from conveyor.access import known_nodes
 from conveyor.config import CameraConfig, LineConfig
+from conveyor.config_alarms import AlarmsConfig
 from tests.alarms.alarm_words import message
 from tests.viewer.page_states import good_state, node, with_node
 from tuberline.alarms.message import AlarmMessage
-from tuberline.alarms.seen import FORGOTTEN_AFTER_S, unknown_keys
+from tuberline.alarms.seen import FORGOTTEN_AFTER_S, seen_alarms, unknown_keys
 from viewer.page.state import LineState
 
 EXPECTED = known_nodes(LineConfig(name="north", cameras={"left": CameraConfig()}))
@@ -53,6 +54,22 @@ def test_who_has_just_come_has_said_nothing_yet() -> None:
     state = with_node(good_state(), "regressor/r1", came)
     assert unknown(state) == {"regressor-r1-lost", "regressor-container-7f3a-lost"}
     assert "no-regressor" in unknown(only(state, "segmenter/left", "regressor/r1"))
+
+
+def test_others_take_over_where_there_are_others() -> None:
+    """Also the only regressor's alarm said that they did."""
+
+    def told(*names: str) -> list[str]:
+        gone = replace(good_state().nodes["regressor/r1"], alive=False, gone_s=1.0)
+        state = only(with_node(good_state(), "regressor/r1", gone), "segmenter/left", *names)
+        config = LineConfig(
+            name="north", cameras={"left": CameraConfig()}, alarms=AlarmsConfig(channels=("http://127.0.0.1:1",))
+        )
+        alarms = seen_alarms(state, config, [])
+        return [alarm.text for alarm in alarms if alarm.key == "regressor-r1-lost"]
+
+    assert told("regressor/r1") == ["Regressor r1 is gone."]
+    assert told("regressor/r1", "regressor/r2") == ["Regressor r1 is gone; the others take over its work."]
 
 
 def test_a_process_of_no_config_is_not_waited_for_without_end() -> None:

@@ -6,6 +6,7 @@ import io
 import re
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from aggregator.ledger.verified import TOLD_EVERY, told_rows
 from conveyor.messages import Counters
 from tests.written_run import write_run
 from tuberline.cli import progress
-from tuberline.cli.live import line_table, nodes_tables
+from tuberline.cli.live import line_table, losses, nodes_tables
 from tuberline.cli.markdown import print_markdown
 from tuberline.cli.replay_table import replay_table
 
@@ -152,6 +153,13 @@ def test_no_name_of_a_status_is_folded_in_eighty_columns() -> None:
     assert max(map(len, lines)) <= 80
     for words in (name, "processed 1234567", *(f"{key} {count}" for key, count in lost.items())):
         assert any(words in line for line in lines), words
+
+
+def test_what_a_camera_takes_off_outlines_is_no_loss() -> None:
+    levels = {"outline_lost_px": -0.79, "belt_drift_mm": 0.2}
+    told = Counters("segmenter", "left", "r", 1, "h", "1", 5.0, {"frames_gaps": 2}, levels)
+    assert losses(told) == {"frames_gaps": 2.0}
+    assert losses(replace(told, gauges={**levels, "outline_lost_px": 0.8})) == {"frames_gaps": 2.0}
 
 
 def test_a_node_of_the_config_that_is_gone_has_a_row() -> None:

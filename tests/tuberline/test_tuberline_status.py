@@ -37,11 +37,11 @@ def test_without_its_aggregator_a_line_tells_what_its_ledger_holds(
     )
     file = tmp_path / "line.toml"
     file.write_text(dump_toml(config), encoding="utf-8")
-    address, ledger = LineAddress(config=file), tmp_path / "out" / "ledger.db"
+    ledger = tmp_path / "out" / "ledger.db"
     with Node("segmenter", "left", config=config, run="story"):
 
-        def told() -> str:
-            status(address=address, wait_s=0.5)
+        def told(line: str | None = None) -> str:
+            status(address=LineAddress(config=file, line=line), wait_s=0.5)
             said = " ".join(capsys.readouterr().out.replace("│", " ").split())
             assert "waiting for the first tuber" not in said
             assert "the aggregator is not there: nothing is added up until it is back" in said
@@ -54,7 +54,8 @@ def test_without_its_aggregator_a_line_tells_what_its_ledger_holds(
             at_work.commit_one_by_one()
             count = len(at_work.tubers())
         assert re.search(rf"its ledger tells of run story: {count} tubers, \d\.\d\d kg \(90 %: \d\.\d\d to ", told())
-        status(address=address, json=True, wait_s=0.5)
+        assert "is not known here" in told(line="another"), "the ledger is not that line's"
+        status(address=LineAddress(config=file), json=True, wait_s=0.5)
         found = json.loads(capsys.readouterr().out)
         assert (found["totals"], found["last_known"]["run"], found["last_known"]["count"]) == (None, "story", count)
         with Ledger(ledger) as opened:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import viewer_line as line
 
+from aggregator.ledger.writer import Ledger
 from conveyor import topics
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
 from conveyor.errors import ConfigError, InputError, LedgerError
@@ -134,6 +135,27 @@ def test_a_recording_alone_is_shown_and_read_back(filmed: tuple[Path, Path], tmp
     ours = [frame for frame in source.frames(run="r") if isinstance(frame, Frame)]
     assert len(ours) == 40
     assert np.array_equal(ours[9].depth, next(itertools.islice(Filmed().frames(run="r"), 9, None)).depth)
+
+
+class Later(Filmed):
+    """Another recording, whose first frame came when all of the run's tubers had crossed."""
+
+    def frames(self, *, run: str, after: int = -1) -> Any:
+        for frame in super().frames(run=run, after=after):
+            yield replace(frame, captured_ns=frame.captured_ns + 3_600_000_000_000)
+
+
+def test_a_run_is_not_shown_over_another_ones_pictures(filmed: tuple[Path, Path], tmp_path: Path) -> None:
+    run = filmed[1]
+    write_recording([Later()], tmp_path / "later", files={})
+    with pytest.raises(InputError, match=r"a tuber of the run crossed \d{4}\.\d s before its first frame"):
+        convert(run, tmp_path / "run.mcap", format="foxglove", recording=tmp_path / "later")
+    (tmp_path / "two").mkdir()
+    with Ledger(tmp_path / "two" / "ledger.db") as ledger:
+        ledger.open_run("both", line="line", cameras=("left", "right"), version="1", started_ns=line.START_NS)
+    with pytest.raises(InputError, match=rf"its cameras are {CAMERA}, and the run counted with left, right"):
+        convert(tmp_path / "two", tmp_path / "run.mcap", format="foxglove", recording=filmed[0])
+    assert {path.name for path in tmp_path.iterdir()} == {"later", "two"}
 
 
 def test_what_cannot_be_shown_is_refused_and_nothing_is_left(filmed: tuple[Path, Path], tmp_path: Path) -> None:

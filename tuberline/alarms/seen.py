@@ -99,12 +99,13 @@ def _camera(key: str, names: Sequence[str]) -> str:
 
 def _lost_regressors(state: LineState, config: LineConfig) -> Iterator[Seen]:
     own = {*(f"r{n}" for n in range(1, config.regressor.processes + 1)), *config.access.regressors}
+    others = any(not node.left and node.state != "silent" for node in state.role("regressor").values())
     for name, node in state.role("regressor").items():
         if node.left and (name in own or node.away_s < FORGOTTEN_AFTER_S):
             yield Seen(
                 f"regressor-{name}-lost",
                 "warning",
-                f"Regressor {name} is gone; the others take over its work.",
+                f"Regressor {name} is gone{'; the others take over its work' if others else ''}.",
                 "Look at its computer and its log; start it again.",
             )
         elif node.state == "silent":

@@ -10,9 +10,9 @@ from tuberline.cli.address import LineAddress
 
 def last_known(address: LineAddress) -> dict[str, Any] | None:
     """The newest run of the line's ledger (`aggregator.ledger.loads.last_loads`); None where no config is given, or
-    where the ledger is on another machine or cannot be read.
+    where the ledger is another line's, is on another machine or cannot be read.
     """
-    if address.config is None:
+    if address.config is None or address.line not in (None, address.loaded().name):
         return None
     from aggregator.ledger.loads import last_loads
     from aggregator.ledger.reader import ledger_file, reading

@@ -35,6 +35,8 @@ AGGREGATOR = "aggregator/aggregator"
 MOST_ROWS = 200
 LOSS_WORDS = ("dropped", "gap", "lost", "refused", "missed", "stall")
 """A counter whose name holds one of these tells of something that did not arrive or was not used."""
+NO_LOSS = ("outline_lost_px",)
+"""Levels that tell of none: what a camera takes off outlines is a property of its images."""
 
 
 class Pace:
@@ -211,7 +213,9 @@ def losses(counters: Counters) -> dict[str, float]:
     """Every count or level above zero that tells of a loss."""
     counted = {**counters.gauges, **counters.values}
     return {
-        key: float(value) for key, value in sorted(counted.items()) if value and any(word in key for word in LOSS_WORDS)
+        key: float(value)
+        for key, value in sorted(counted.items())
+        if value > 0 and key not in NO_LOSS and any(word in key for word in LOSS_WORDS)
     }
 
 
