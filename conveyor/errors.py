@@ -80,6 +80,10 @@ class LedgerError(TuberlineError):
     """The ledger cannot be trusted."""
 
 
+class NoLedgerError(LedgerError):
+    """A file that is no ledger, nor the damaged rest of one."""
+
+
 class UnmadeError(LedgerError):
     """A file that no aggregator has made a ledger of yet, or the empty part of one."""
 

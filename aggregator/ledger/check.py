@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -27,16 +28,18 @@ from aggregator.ledger.schema import (
 from aggregator.ledger.seal import seal_faults
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView, named_key, reading
-from conveyor.errors import LedgerError, StorageError, UnmadeError
+from conveyor.errors import LedgerError, NoLedgerError, StorageError, UnmadeError
 
 _SHOWN = 5
+_TO_CHECK = re.compile(r"[;:] see `tuberline ledger check`|`tuberline ledger check` lists (the|all) damage, ")
+"""The advice, in what reading a ledger says, to do what is done here."""
 
 
 def check_file(path: Path) -> list[str]:
     """Everything wrong with the ledger at `path` and its receipt, in words; every row and index is checked.
 
     Raises:
-        LedgerError: there is no such file, or no aggregator has made a ledger of it yet.
+        LedgerError: there is no such file, it is no ledger, or no aggregator has made one of it yet.
         StorageError: it cannot be read now, for its disk is full say, which says nothing of the ledger.
     """
     if not path.is_file():
@@ -46,10 +49,10 @@ def check_file(path: Path) -> list[str]:
             return view_faults(view)
     except DAMAGE as error:
         return [f"it cannot be read at all: {error}"]
-    except (UnmadeError, StorageError):
+    except (NoLedgerError, UnmadeError, StorageError):
         raise
     except LedgerError as error:
-        return [str(error)]
+        return [_told(error)]
 
 
 def view_faults(view: LedgerView) -> list[str]:
@@ -58,7 +61,7 @@ def view_faults(view: LedgerView) -> list[str]:
     try:
         acknowledged = view.receipt()
     except LedgerError as error:
-        return [str(error)]
+        return [_told(error)]
     return [*ledger_faults(view, acknowledged=acknowledged), *seal_faults(view.path, receipt)]
 
 
@@ -86,6 +89,10 @@ def opening_faults(view: LedgerView, *, acknowledged: int | None) -> list[str]:
     return _collected(_opening_faults, view) + _collected(lambda view: _receipt_faults(view, acknowledged), view)
 
 
+def _told(error: LedgerError) -> str:
+    return _TO_CHECK.sub("", str(error))
+
+
 def _collected(part: Callable[[LedgerView], Iterable[str]], view: LedgerView) -> list[str]:
     """What `part` finds until the damage stops it, and that it did."""
     faults: list[str] = []
@@ -94,7 +101,7 @@ def _collected(part: Callable[[LedgerView], Iterable[str]], view: LedgerView) ->
     except StorageError:
         raise
     except LedgerError as error:
-        faults.append(str(error))
+        faults.append(_told(error))
     except DAMAGE as error:
         faults.append(f"reading stopped: {error}")
     return faults
@@ -122,7 +129,7 @@ def _row_faults(view: LedgerView) -> Iterator[str]:
                 if not sound and bad <= _SHOWN:
                     yield f"row of {table.name} with a wrong checksum: {named_key(table, found)}"
         except LedgerError as error:
-            yield f"table {table.name} cannot be read to its end: {error}"
+            yield f"table {table.name} cannot be read to its end: {_told(error)}"
         if bad > _SHOWN:
             yield f"{bad - _SHOWN} more rows of {table.name} with a wrong checksum"
 

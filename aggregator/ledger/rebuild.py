@@ -18,9 +18,9 @@ from aggregator.core.merge import Group, PlacedTrack
 from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
 from aggregator.core.tubers import make_tuber
+from aggregator.ledger.likeness import Row
 from aggregator.ledger.load_rows import event_row
 from aggregator.ledger.rows import body_from, coverage_row, observation_row, tuber_from, tuber_row
-from aggregator.ledger.salvage import Row
 from aggregator.ledger.schema import (
     BATCH,
     COVERAGE,

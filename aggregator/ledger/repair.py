@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 import shutil
 import sqlite3
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 
 from aggregator.core.loads import LoadBook
 from aggregator.ledger import rebuild
 from aggregator.ledger.faults import explained
+from aggregator.ledger.likeness import may_be_ledger, no_ledger
 from aggregator.ledger.load_rows import SpanSums, event_from
 from aggregator.ledger.rebuild import Expected, Repaired, Rows
 from aggregator.ledger.receipt import Receipt, read_receipt, receipt_path
@@ -43,8 +44,8 @@ from aggregator.ledger.schema import (
 from aggregator.ledger.seal import break_seal
 from aggregator.ledger.steps import first_step, span_step
 from aggregator.ledger.sums import DEFAULT_STEP_G, RunSums
-from aggregator.ledger.verified import named_key
-from conveyor.errors import LedgerError, StorageError
+from aggregator.ledger.verified import named_key, unmade
+from conveyor.errors import LedgerError, NoLedgerError, StorageError
 from conveyor.files import cause
 
 
@@ -52,22 +53,24 @@ def repair(path: Path) -> Repaired:
     """Replace the ledger at `path` by a new one with everything that is intact in it.
 
     Raises:
-        LedgerError: nothing of it can be read, or the new file cannot be written.
+        NoLedgerError: it is no ledger. LedgerError: nothing of it can be read, or the new file cannot be written. All
+            is as it was then, and nothing was added beside it.
     """
-    if not path.is_file():
-        raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
+    _check_worth(path)
     report = Repaired()
     fresh = path.with_name(path.name + ".repaired")
     acknowledged = _acknowledged(path)
-    with Receipt(receipt_path(path)) as receipt, explained(path, "repairing"):
-        report.kept_as = _keep(path)
+    report.kept_as = _free_name(path)
+    made = _not_there(path, report.kept_as)
+    with Receipt(receipt_path(path)) as receipt, explained(path, "repairing"), _taken_back(made):
+        _keep(path, report.kept_as)
         fresh.unlink(missing_ok=True)
         found = salvaged(path)
         rows, had = found.rows, rebuild.expected(found.rows)
         _tell(found, report)
         rebuild.runs(rows, had, report)
         if not rows[RUN.name]:
-            raise LedgerError(f"no run can be read from {path}: there is nothing to save")
+            raise LedgerError(f"no run can be read from {path}: there is nothing to save; it is as it was")
         rebuild.marks(rows, report)
         rebuild.observations(rows, report)
         rebuild.tubers(rows, report)
@@ -81,12 +84,28 @@ def repair(path: Path) -> Repaired:
         stretches = {run: _stretches(own, run, book, report) for run, own in of_runs.items()}
         seq = _number_batches(of_runs)
         _write(fresh, of_runs, had, stretches)
+        made.clear()  # from here on the copy may be all that there is
         break_seal(receipt_path(path))
         _swap(path, fresh)
         receipt.write(seq)
         receipt.write(seq - 1)
     report.saved = {table.name: sum(len(own[table.name]) for own in of_runs.values()) for table in WRITTEN_ONCE}
     return report
+
+
+def _check_worth(path: Path) -> None:
+    """Refuse at once what is no ledger: to look through a large file for rows takes minutes.
+
+    Raises:
+        NoLedgerError: nothing in it is like one. LedgerError: no such file, or an empty one.
+    """
+    if not path.is_file():
+        raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
+    log = path.with_name(path.name + "-wal")
+    if not path.stat().st_size and not (log.exists() and log.stat().st_size):
+        raise unmade(path)
+    if not may_be_ledger(path):
+        raise NoLedgerError(no_ledger(path))
 
 
 def _acknowledged(path: Path) -> int:
@@ -181,22 +200,43 @@ def _stretches(own: Rows, run: str, book: LoadBook, report: Repaired) -> dict[in
     return {n: SpanSums(load, old[n].seen if n in old else None) for n, load in counted.items()}
 
 
-def _keep(path: Path) -> Path:
-    """Copy the ledger and its log under a new name before anything is touched."""
+def _free_name(path: Path) -> Path:
+    """Where the damaged ledger is kept."""
     n = 1
     while (kept := path.with_name(f"{path.name}.damaged-{n}")).exists():
         n += 1
+    return kept
+
+
+def _not_there(path: Path, kept: Path) -> list[Path]:
+    """What a repair may make beside `path` and is not there before it."""
+    logs = [path.with_name(path.name + suffix) for suffix in ("-wal", "-shm")]
+    fresh = [path.with_name(path.name + suffix) for suffix in (".repaired", ".repaired-journal")]
+    copies = [kept, kept.with_name(kept.name + "-wal")]
+    return [file for file in (*logs, *fresh, *copies, receipt_path(path)) if not file.exists()]
+
+
+@contextmanager
+def _taken_back(made: list[Path]) -> Iterator[None]:
+    """Where the block raises or is stopped the files are removed that `made` has then."""
+    try:
+        yield
+    except BaseException:
+        for file in made:
+            with suppress(OSError):
+                file.unlink(missing_ok=True)
+        raise
+
+
+def _keep(path: Path, kept: Path) -> None:
+    """Copy the ledger and its log under a new name before anything is touched."""
     try:
         for suffix in ("", "-wal"):
             source = path.with_name(path.name + suffix)
             if source.exists():
                 shutil.copy2(source, kept.with_name(kept.name + suffix))
     except OSError as error:
-        for suffix in ("", "-wal"):  # half a copy is none
-            with suppress(OSError):
-                kept.with_name(kept.name + suffix).unlink(missing_ok=True)
         raise StorageError(f"{path} cannot be copied to {kept}: {cause(error)}") from error
-    return kept
 
 
 def _swap(path: Path, fresh: Path) -> None:

@@ -19,19 +19,17 @@ from typing import Any
 import msgpack
 
 from aggregator.ledger.faults import DAMAGE
-from aggregator.ledger.pages import LEAF, MOST_BYTES, Cell, NoCell, Pages, pages_of
+from aggregator.ledger.likeness import Row, fitting
+from aggregator.ledger.pages import LEAF, MOST_BYTES, NoCell, Pages, pages_of
 from aggregator.ledger.schema import MOVING, OLDEST_VERSION, SCHEMA_VERSION, TABLES, Table, checksum, packed
 from aggregator.ledger.verified import named_key
 
-Row = tuple[Any, ...]
-"""A row's columns in the order of its table, its checksum last."""
 SMALL_BYTES = 600
 """A row of so many bytes in its page is tried bit by bit, of a larger one the first `HEAD_BYTES`, and its values."""
 HEAD_BYTES = 120
 MOST_TRIED = 200
 """Damaged rows that are tried so, at 0.1 s each: more are no flipped bits."""
 
-_KINDS: dict[str, tuple[type, ...]] = {"TEXT": (str,), "INTEGER": (int,), "REAL": (float, int), "BLOB": (bytes,)}
 _POLYNOMIAL = 0xEDB88320
 
 
@@ -103,7 +101,7 @@ def _doubtful(pages: Pages, found: _Found, bad: dict[tuple[str, Row], Row]) -> l
     doubtful = []
     for page, cells in pages.leaves():
         for n, at in enumerate(cells):
-            fits = _fitting(pages, page, at)
+            fits = fitting(pages, page, at)
             sound = [found_as for found_as in fits if _is_sound(found_as[1])]
             for table, values in sound:
                 found.add(table, values)
@@ -119,13 +117,6 @@ def _is_sound(found: Row) -> bool:
     return bool(checksum(found[:-1]) == found[-1])
 
 
-def _fitting(pages: Pages, page: bytes, at: int) -> list[tuple[Table, Row]]:
-    try:
-        return list(_as_rows(pages.cell(page, at)))
-    except (NoCell, IndexError, struct.error):
-        return []
-
-
 def _of_schema(pages: Pages, page: bytes, at: int) -> bool:
     """Whether the cell is a row of SQLite's own table of tables."""
     try:
@@ -134,43 +125,11 @@ def _of_schema(pages: Pages, page: bytes, at: int) -> bool:
         return False
 
 
-def _as_rows(cell: Cell) -> Iterator[tuple[Table, Row]]:
-    """The rows that a cell can be by the number and the types of its columns."""
-    for table in TABLES:
-        for order in _orders(table):
-            if len(order) != len(cell.values):
-                continue
-            values = dict(zip(order, cell.values, strict=True))
-            named: list[Any] = []
-            for name, kind in table.columns:
-                value = values.get(name)
-                if value is None and table.key == name and kind.startswith("INTEGER"):
-                    value = cell.rowid  # SQLite keeps such a key as the row's number
-                if value is None and "NOT NULL" in kind:
-                    break
-                if value is not None and not isinstance(value, _KINDS[kind.split()[0]]):
-                    break
-                named.append(float(value) if kind.startswith("REAL") and isinstance(value, int) else value)
-            else:
-                if isinstance(values["crc"], int):
-                    yield table, (*named, values["crc"])
-
-
-def _orders(table: Table) -> list[tuple[str, ...]]:
-    """Columns of a table as they lie in its rows: as it is made now, or as it came to be with columns added later."""
-    orders = [(*table.names, "crc")]
-    if table.added:
-        later = dict(table.added)
-        first = tuple(name for name in table.names if name not in later)
-        orders += [(*first, "crc"), (*first, "crc", *later)]
-    return orders
-
-
 def _put_back(pages: Pages, page: bytes, at: int) -> Iterator[tuple[Table, Row]]:
     """Rows that a damaged cell is with one bit of it put back, or of the pointer to it."""
     for bit in range(16):
-        yield from (fits for fits in _fitting(pages, page, at ^ (1 << bit)) if _is_sound(fits[1]))
-    fits = _fitting(pages, page, at)
+        yield from (fits for fits in fitting(pages, page, at ^ (1 << bit)) if _is_sound(fits[1]))
+    fits = fitting(pages, page, at)
     for table, values in fits:
         if (righted := one_bit_off(values)) is not None:
             yield table, righted
@@ -185,7 +144,7 @@ def _put_back(pages: Pages, page: bytes, at: int) -> Iterator[tuple[Table, Row]]
     for byte in zones:
         for bit in range(8):
             tried[byte] ^= 1 << bit
-            sound = [fits for fits in _fitting(pages, bytes(tried), at) if _is_sound(fits[1])]
+            sound = [fits for fits in fitting(pages, bytes(tried), at) if _is_sound(fits[1])]
             if sound:
                 yield from sound
                 return

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.ledger.faults import DAMAGE, explained
+from aggregator.ledger.likeness import may_be_ledger
 from aggregator.ledger.receipt import is_being_written, read_receipt, receipt_path
 from aggregator.ledger.schema import (
     APPLICATION_ID,
@@ -23,7 +24,7 @@ from aggregator.ledger.schema import (
     Table,
     checksum,
 )
-from conveyor.errors import LedgerError, UnmadeError
+from conveyor.errors import LedgerError, NoLedgerError, UnmadeError
 
 Row = tuple[Any, ...]
 OnRows = Callable[[str, int, int | None], None]
@@ -130,7 +131,8 @@ def checked_version(db: sqlite3.Connection, path: Path) -> int:
     if application == 0 and db.execute("SELECT 1 FROM sqlite_master").fetchone() is None:
         raise unmade(path)
     if application != APPLICATION_ID:
-        raise LedgerError(f"{path} is an SQLite file, but no ledger of Tuberline (application id {application:#x})")
+        kind = LedgerError if may_be_ledger(path) else NoLedgerError
+        raise kind(f"{path} is an SQLite file, but no ledger of Tuberline (application id {application:#x})")
     if not OLDEST_VERSION <= version <= SCHEMA_VERSION:
         raise LedgerError(
             f"ledger {path} has schema version {version}, this program knows version {SCHEMA_VERSION} and reads from "

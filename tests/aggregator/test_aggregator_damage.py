@@ -157,7 +157,7 @@ def test_a_ledger_without_batches_needs_no_receipt(tmp_path: Path) -> None:
 def test_other_files_and_versions_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     path.write_text("not a database, but long enough to have a header of one hundred bytes" * 4)
-    with pytest.raises(LedgerError, match="not an SQLite file"):
+    with pytest.raises(LedgerError, match="is no ledger: it does not begin as SQLite files do"):
         Ledger(path).__enter__()
     other = tmp_path / "other.db"
     with sqlite3.connect(other) as db:

@@ -19,7 +19,7 @@ from aggregator.ledger.repair import repair
 from aggregator.ledger.salvage import one_bit_off
 from aggregator.ledger.schema import row
 from aggregator.ledger.writer import Ledger
-from conveyor.errors import LedgerError
+from conveyor.errors import NoLedgerError
 from conveyor.messages import Tuber
 from tests.aggregator.belt_story import Story, tell
 from tests.aggregator.finished_ledger import copied, flip
@@ -224,7 +224,7 @@ def test_the_command_names_what_is_lost_and_says_so_by_its_exit_code(
 def test_a_file_without_any_row_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     path.write_bytes(bytes(5 * PAGE))
-    with pytest.raises(LedgerError, match="no run can be read"):
+    with pytest.raises(NoLedgerError, match="is no ledger: it does not begin as SQLite files do"):
         repair(path)
     assert path.read_bytes() == bytes(5 * PAGE)
 
