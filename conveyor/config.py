@@ -23,6 +23,7 @@ from conveyor.config_realsense import RealSenseConfig
 from conveyor.config_yield import ForeignConfig, GnssConfig
 from conveyor.errors import ConfigError
 from conveyor.gauge import Gauge
+from conveyor.refused import OURS, in_words
 from conveyor.resting import RestingLevel
 from conveyor.text_files import read_toml
 
@@ -323,9 +324,8 @@ def parse_config(raw: dict[str, Any], *, where: str, base: Path | None = None) -
 def _fault(fault: Any) -> str:
     where = ".".join(str(part) for part in fault["loc"])
     if fault["type"] != "extra_forbidden":
-        told = fault["msg"].removeprefix("Value error, ")  # pydantic's mark on a sentence of ours
-        given = fault.get("input")
-        said = told != fault["msg"] and (isinstance(given, dict) or str(given) in told)
+        told, given = in_words(fault), fault.get("input")
+        said = fault["type"] in (OURS, "missing") and (isinstance(given, dict) or str(given) in told)
         shown = str(given).lower() if isinstance(given, bool) else repr(given)  # as TOML writes it
         return f"{where}: {told}" if said else f"{where}: {told} (got {shown})"
     if new_name := _new_name(fault["loc"]):

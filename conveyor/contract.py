@@ -20,6 +20,7 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from conveyor.errors import ConfigError
+from conveyor.refused import in_words
 from conveyor.text_files import read_toml
 
 LARGEST_MM = 256.0
@@ -95,12 +96,18 @@ def read_contract(path: Path) -> Contract:
     try:
         return Contract.model_validate(raw)
     except ValidationError as error:
-        raise ConfigError(f"contract {path} is refused:\n" + "\n".join(map(_fault, error.errors()))) from error
+        faults = error.errors()
+        # Where its classes are refused pydantic goes on without them, and finds their list too short.
+        at_fault = {fault["loc"][:n] for fault in faults for n in range(1, len(fault["loc"]))}
+        told = [_fault(fault) for fault in faults if fault["loc"] not in at_fault]
+        raise ConfigError(f"contract {path} is refused:\n" + "\n".join(told)) from error
 
 
 def _fault(fault: Any) -> str:
     where = ".".join(map(str, fault["loc"])) or "contract"
+    if fault["type"] == "missing":
+        return f"  {where}: {in_words(fault)}"
     if fault["type"] != "extra_forbidden":
-        return f"  {where}: {fault['msg']} (got {fault.get('input')!r})"
+        return f"  {where}: {in_words(fault)} (got {fault.get('input')!r})"
     known = (Contract if len(fault["loc"]) == 1 else SizeClass).model_fields
     return f"  {where}: unknown key; known here: {', '.join(known)}"

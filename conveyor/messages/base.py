@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from conveyor.errors import MessageError, Refusal, TuberlineError, UnsendableError
+from conveyor.refused import in_words
 from conveyor.wire import DTYPES, Announced, pack, read_array, read_header, shown
 
 _OUT_OF_RANGE = (
@@ -190,7 +191,7 @@ def _checked(
         more = f"; {len(others)} more like it" if others else ""
         where = shown(".".join(str(part)[:60] for part in first["loc"])).strip("'\"")
         raise MessageError(
-            f"{cls.__name__}.{where}: {first['msg']} (got {shown(first.get('input'))}{more})",
+            f"{cls.__name__}.{where}: {in_words(first)} (got {shown(first.get('input'))}{more})",
             reason=Refusal.RANGE if first["type"] in _OUT_OF_RANGE else Refusal.FIELD,
         ) from error
     except MessageError:

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from safetensors.numpy import load as load_safetensors
 
 from conveyor.errors import InputError
+from conveyor.refused import OURS, in_words
 from conveyor.text_files import read_text
 from regressor.network.architecture import HEIGHT_NAME, parameter_shapes
 from regressor.network.sidecar import Sidecar, StartPolicy
@@ -155,8 +156,8 @@ def _fault(fault: Any) -> str:
     key = ".".join(map(str, fault["loc"]))
     if fault["type"] == "extra_forbidden":
         return f"{key} is unknown: it is of another version of this program"
-    said: str = fault["msg"].removeprefix("Value error, ")  # pydantic's mark on a sentence of ours
-    return said if said != fault["msg"] else f"{key}: {said} (got {str(fault.get('input'))[:80]!r})"
+    said = in_words(fault)
+    return said if fault["type"] == OURS else f"{key}: {said} (got {str(fault.get('input'))[:80]!r})"
 
 
 def check_architecture(

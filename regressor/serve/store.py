@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from conveyor.errors import InputError, StorageError
 from conveyor.files import cause, replacing, told
+from conveyor.refused import all_in_words
 from regressor.serve.messages import digest_of, write_checkpoint
 from regressor.weigh.weigher import Weigher
 
@@ -140,7 +141,8 @@ class WeightsStore:
         try:
             order = _ORDER.validate_json(file.read_bytes())
         except (OSError, ValidationError) as error:
-            raise InputError(f"{file} cannot be read: {error}; remove it to go on with the config's weights") from error
+            why = all_in_words(error) if isinstance(error, ValidationError) else cause(error)
+            raise InputError(f"{file} cannot be read: {why}; remove it to go on with the config's weights") from error
         return order if order.config_digest == config_digest else None
 
     def _found(self) -> Path | None:

@@ -49,6 +49,17 @@ def test_a_contract_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     assert contract(tmp_path, "\ufeff" + WARE) == contract(tmp_path)
 
 
+def test_a_class_that_is_none_is_the_only_fault(tmp_path: Path) -> None:
+    """A second line said that the list of classes was too short."""
+    with pytest.raises(ConfigError) as told:
+        contract(tmp_path, '[[classes]]\nname = "a"\nfrom_mm = 50\nto_mm = 30\n')
+    _, *faults = str(told.value).splitlines()
+    assert [fault.strip().partition(": ")[0] for fault in faults] == ["classes.0"]
+    assert "goes from 50 to 30 mm" in faults[0]
+    with pytest.raises(ConfigError, match="classes: must have at least 1 item"):
+        contract(tmp_path, "classes = []\n")
+
+
 def sizes(mesh_mm: float, sd_mm: float = 2.0) -> Sizes:
     return Sizes(1.4 * mesh_mm, mesh_mm, 0.9 * mesh_mm, mesh_mm, 2 * sd_mm, sd_mm, sd_mm, sd_mm)
 

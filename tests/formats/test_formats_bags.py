@@ -200,7 +200,7 @@ def test_a_frame_that_no_recording_can_hold_is_left_out_of_one_and_told(tmp_path
     for target in ("r.mcap", "r"):
         done = convert_recording(bag, tmp_path / target)
         assert (done.frames, done.refused) == (2, {"out_of_range": 1})
-        assert "frame 1 of camera: Frame.captured_ns: Input should be greater than or equal to 0" in done.texts[0]
+        assert "frame 1 of camera: Frame.captured_ns: must be at least 0 ns" in done.texts[0]
         assert [frame.seq for frame in _frames(tmp_path / target)] == [0, 2]
     channels = {DEPTH: (IMAGE, "cdr", [image(0)]), DEPTH_INFO: (INFO, "cdr", [info()])}
     broken = {"/rear/depth/compressedDepth": (COMPRESSED, "cdr", [b"no image"])}

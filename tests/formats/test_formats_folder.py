@@ -137,8 +137,8 @@ def test_camera_json_without_intrinsics_names_what_is_missing(small_recording: P
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"fx": -3}, r"fx: .*greater than 0 \(got -3\)"),
-        ({"width": "wide"}, r"width: .*integer"),
+        ({"fx": -3}, r"fx: must be more than 0 \(got -3\)"),
+        ({"width": "wide"}, r"width: must be a whole number"),
         ({"fx": True}, r"fx: .*true and false are no numbers"),
         ({"depth_scale_m": None}, r"depth_scale_m: missing"),
         ({"belt_distance_m": 0}, r"belt_distance_m: "),

@@ -74,7 +74,7 @@ def test_a_parcel_gives_back_file_and_sidecar(tmp_path: Path) -> None:
         ({"radii_m": [0.1, 0.2]}, r"radii_m is \(0.1, 0.2\), and this program's networks have \(0.2, 0.4\)"),
         ({"neighbours": 32}, "neighbours is 32, and this program's networks have 64"),
         ({"points": 512}, r"centroids is \(512, 128\), and this program's networks have \(256, 64\)"),
-        ({"points": -5}, "greater than or equal to 64"),
+        ({"points": -5}, "points: must be at least 64"),
     ],
 )
 def test_weights_of_a_network_that_groups_otherwise_are_refused(

@@ -186,7 +186,7 @@ def test_one_command_is_named_export(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("ticket", "--kg", "-4"), 'Invalid value "-4.0" for --kg. Allowed is 0 to 1000000 kg.'),
+        (("ticket", "--kg", "-4"), 'Invalid value "-4.0" for --kg. Allowed is 0.001 to 200000 kg.'),
         (("start", "trailer\n7"), "such an order cannot be given: fields.name: "),
         (("end", "--request", "no id!"), "such an order cannot be given: request: "),
     ],

@@ -11,6 +11,7 @@ from typing import Any
 
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
+from conveyor.refused import UNITS
 from tuberline.cli.config_examples import example
 
 CAMERA = "<camera>"
@@ -41,8 +42,6 @@ These commands check a file, print every setting in effect, and explain one key:
     tuberline config show --explain segmenter.ring
     tuberline config schema                              # JSON schema, for editors
 """
-_UNITS = {"mm2": "mm²", "mm": "mm", "ms": "ms", "us": "µs", "mw": "mW", "m": "m", "s": "s", "g": "g", "deg": "°"}
-"""Unit by the last part of a key's name."""
 _UNITS_OF = {
     "cameras.<camera>.depth_scale_m": "m per unit of depth",
     "cameras.<camera>.speed": "times real time",
@@ -159,7 +158,7 @@ def _setting(key: str, field: Mapping[str, Any]) -> Setting:
         type=_type(value),
         default=_default(field),
         range=_range(value),
-        unit=_UNITS_OF.get(key) or _UNITS.get(key.rpartition("_")[2], ""),
+        unit=_UNITS_OF.get(key) or UNITS.get(key.rpartition("_")[2], ""),
         meaning=field.get("description", ""),
         example=f"`{example(key, value, field.get('default'))}`",
     )

@@ -18,6 +18,7 @@ from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
 from conveyor.pose import pose_fault
 from conveyor.ranges import FASTEST_MPS, INT64_MAX, MAX_COUNT
+from conveyor.refused import in_words
 from conveyor.text_files import read_json
 
 COLUMNS = ["seq", "captured_ns", "travel_m"]
@@ -107,7 +108,7 @@ def _faults(error: ValidationError) -> str:
         if fault["type"] == "missing":
             lines.append(f"  {where}: missing; needed are {', '.join(_NEEDED)} (pixels, from the camera's calibration)")
         else:
-            lines.append(f"  {where}: {fault['msg']} (got {fault.get('input')!r})")
+            lines.append(f"  {where}: {in_words(fault)} (got {fault.get('input')!r})")
     return "\n".join(lines)
 
 

@@ -21,6 +21,7 @@ from conveyor.formats.rosbag.depth import FLOAT_ENCODING, depth_pixels
 from conveyor.formats.rosbag.messages import RosCompressed, RosImage, RosMessage, plain_type
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.messages import Frame
+from conveyor.refused import all_in_words
 
 
 def exported_cameras(path: Path) -> dict[str, tuple[CameraTopics, CameraFile]]:
@@ -34,8 +35,9 @@ def exported_cameras(path: Path) -> dict[str, tuple[CameraTopics, CameraFile]]:
     for depth_topic, text in cameras.items():
         try:
             camera = CameraFile.model_validate(json.loads(text))
-        except (ValueError, ValidationError) as error:
-            raise InputError(f"{path}: what it says about {depth_topic} cannot be used: {error}") from error
+        except ValueError as error:
+            why = all_in_words(error) if isinstance(error, ValidationError) else error
+            raise InputError(f"{path}: what it says about {depth_topic} cannot be used: {why}") from error
         found[camera.name] = (topics_of_depth(depth_topic), camera)
     return found
 
