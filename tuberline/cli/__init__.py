@@ -16,6 +16,7 @@ from conveyor.files import told
 from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
 from tuberline.cli.leaving import leave_when_told, swallowed, told_to_end
+from tuberline.cli.streams import keep_standard_streams
 from tuberline.cli.width import least_width
 
 __all__ = ["build_app", "main"]
@@ -32,6 +33,7 @@ def main() -> None:
     """Entry point: a fault of input or machine becomes one sentence and an exit code; bugs keep their traceback."""
     from tuberline.orphan import watch_supervisor
 
+    keep_standard_streams()
     gc.set_threshold(NEW_OBJECTS)
     setup_logs()
     least_width()

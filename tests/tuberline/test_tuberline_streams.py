@@ -1,0 +1,92 @@
+"""A command whose standard output or error is closed says nothing there, and ends with the exit code it has else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.aggregator.finished_ledger import copied, flip, write_finished
+
+ROOT = Path(__file__).resolve().parents[2]
+CLOSINGS = (">&-", "2>&-", "<&- >&- 2>&-")
+
+
+def in_shell(words: str, closing: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """A command line as a shell runs it, with some of its streams closed."""
+    return subprocess.run(
+        ["/bin/sh", "-c", f"exec {sys.executable} -m tuberline {words} {closing}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        timeout=120,
+    )
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a sound ledger in `sound`, and one with a flipped bit in `damaged`."""
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "sound").mkdir()
+    write_finished(folder / "sound" / "ledger.db")
+    damaged = copied(folder / "sound" / "ledger.db", folder / "damaged")
+    flip(damaged, damaged.stat().st_size // 2, 3)
+    (folder / "line.toml").write_text('name = "north"\n', encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("closing", CLOSINGS)
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("--version", 0),
+        ("--help", 0),
+        ("config check line.toml", 0),
+        ("ledger check sound", 0),
+        ("ledger check damaged", 1),
+        ("ledger dump sound", 0),
+        ("ledger totals sound", 0),
+        ("audit sound", 0),
+        ("info nowhere", 2),
+        ("raplay", 2),
+    ],
+)
+def test_the_exit_code_is_the_same_with_closed_streams(words: str, code: int, closing: str, runs: Path) -> None:
+    """Closed standard output ended every command with a traceback; with closed standard error `ledger check` of a sound
+    ledger ended with 1, which says that it cannot be trusted.
+    """
+    done = in_shell(words, closing, runs)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    if closing == "2>&-":
+        assert done.stdout == in_shell(words, "", runs).stdout
+
+
+def test_no_file_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
+    """A file that is opened later must not be what is written to as standard output or error, here or in a child."""
+    code = (
+        "import os, subprocess, sys\n"
+        "from tuberline.cli.streams import keep_standard_streams\n"
+        "keep_standard_streams()\n"
+        "with open('kept', 'w') as file:\n"
+        "    assert file.fileno() > 2, file.fileno()\n"
+        "    os.write(1, b'lost'); os.write(2, b'lost'); print('lost'); print('lost', file=sys.stderr)\n"
+        "    assert sys.stdin.read() == ''\n"
+        "    done = subprocess.run(['/bin/sh', '-c', 'echo lost; echo lost >&2'])\n"
+        "    file.write(f'{done.returncode}')\n"
+    )
+    shell = f'exec {sys.executable} -c "$CODE" <&- >&- 2>&-'
+    done = subprocess.run(
+        ["/bin/sh", "-c", shell],
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "CODE": code},
+        timeout=60,
+    )
+    assert done.returncode == 0
+    assert (tmp_path / "kept").read_text(encoding="utf-8") == "0"
