@@ -10,6 +10,10 @@ RESTING_OFFSET_MM = (-20.0, 40.0)
 """How far undersides of tubers lie below the belt."""
 RESTING_SD_MM = (0.0, 20.0)
 """How well that is known, standard deviation."""
+TICKET_KG = (0.001, 200_000.0)
+"""What a scale says of a load or of a part of one: from a gram to more than any trailer carries."""
+SCALE_ERROR_KG = (0.0, 100_000.0)
+"""Its standard deviation."""
 LEAST_LEVEL_MM = 0.05
 """Of a resting level, and of how well it is known; who states less but 0 stated metres."""
 

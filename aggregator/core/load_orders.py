@@ -9,10 +9,10 @@ from typing import Any
 from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said, ticket_told
 from conveyor.errors import InputError
 from conveyor.messages.loads import NUMBER, LoadAnswer, LoadOrder, number_meant
+from conveyor.stated import TICKET_KG
 
 UNDO_WITHIN_S = 60.0
 LAST = "last"
-MOST_KG = 200_000.0
 SCALE_ERROR = 0.005
 """Of a ticket, where the scale's error is not told."""
 NAMED_IN_ERRORS = 8
@@ -195,8 +195,12 @@ def _ticket(order: LoadOrder, book: LoadBook, run: str) -> tuple[Said, int, None
         if load.ticket(net=order.net) is None:
             raise InputError(f"{load.told} has no {'net' if order.net else 'gross'} ticket to withdraw")
         return Said.TICKET, load.number, None, {"ticket_g": None, "sd_g": 0.0, "net": order.net, "note": order.note}
-    if not 0 < order.kg <= MOST_KG:
-        raise InputError(f"a ticket of {order.kg:g} kg: give what the scale said of the load, up to {MOST_KG:g} kg")
+    least_kg, most_kg = TICKET_KG
+    if not least_kg <= order.kg <= most_kg:
+        raise InputError(
+            f"a ticket of {order.kg:g} kg: give what the scale said of the load, from {least_kg:g} kg up to "
+            f"{most_kg:g} kg"
+        )
     sd_kg = SCALE_ERROR * order.kg if order.scale_error_kg is None else order.scale_error_kg
     said = {"ticket_g": 1000 * order.kg, "sd_g": 1000 * sd_kg, "net": order.net, "note": order.note}
     return Said.TICKET, load.number, None, said

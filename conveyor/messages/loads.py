@@ -10,6 +10,7 @@ from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.heights import HeightChange
 from conveyor.ranges import BeltPlace, Count, Items, Line, LoadGrams, Name, Range, Text, Word, Yes
+from conveyor.stated import SCALE_ERROR_KG, TICKET_KG
 
 Told = Annotated[str, Text(256, r"^[^\x00-\x1f\x7f]*$")]
 """A name that a person gives: of a load, a field, a variety."""
@@ -60,9 +61,9 @@ class LoadOrder(Message):
         field(default_factory=dict)
     )
     note: Line = ""
-    kg: Annotated[float, Range(0, 1e6, "kg")] | None = None
+    kg: Annotated[float, Range(*TICKET_KG, "kg")] | None = None
     net: Yes = True
-    scale_error_kg: Annotated[float, Range(0, 1e5, "kg")] | None = None
+    scale_error_kg: Annotated[float, Range(*SCALE_ERROR_KG, "kg")] | None = None
     place_x_m: BeltPlace | None = None
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from tuberline.cli.numbers import within
+from tuberline.cli.numbers import ScaleErrorKg, TicketKg
 from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, WHOLE_RUN, PartOptions, TicketOptions
 
 SCALE_SHARE = 0.002
@@ -18,9 +17,9 @@ def calibrate_bucket(
     run_dir: Path,
     /,
     *,
-    kg: float,
+    kg: TicketKg,
     count: int | None = None,
-    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
+    scale_error_kg: ScaleErrorKg | None = None,
     weighed: PartOptions = WHOLE_RUN,
     options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from tuberline.cli.numbers import within
+from tuberline.cli.numbers import ScaleErrorKg, TicketKg
 from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, TicketOptions
 
 
@@ -15,9 +14,9 @@ def calibrate_load(
     run_dir: Path,
     /,
     *,
-    ticket_kg: float | None = None,
+    ticket_kg: TicketKg | None = None,
     load: str = "",
-    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
+    scale_error_kg: ScaleErrorKg | None = None,
     options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,
 ) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 
 from tuberline.cli.address import NO_ADDRESS, LineAddress
-from tuberline.cli.numbers import within
+from tuberline.cli.numbers import ScaleErrorKg, TicketKg, within
 
 if TYPE_CHECKING:
     from conveyor.messages import LoadOrder
@@ -173,9 +173,9 @@ def ticket(
     load: str = "",
     /,
     *,
-    kg: Annotated[float | None, within(0, 1e6, "kg")] = None,
+    kg: TicketKg | None = None,
     gross: bool = False,
-    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
+    scale_error_kg: ScaleErrorKg | None = None,
     withdraw: bool = False,
     note: str = "",
     ledger: Path | None = None,
