@@ -67,12 +67,15 @@ def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> 
     tuberline = [sys.executable, "-m", "tuberline"]
     simulate(recording, tubers="20")
     logs = out / "logs"
-    with subprocess.Popen([*tuberline, "replay", recording, "--out", out, "--speed", "real"], cwd=ROOT) as replay:
+    begin = [*tuberline, "replay", recording, "--out", out, "--speed", "real"]
+    with subprocess.Popen(begin, cwd=ROOT, stderr=subprocess.PIPE, text=True) as replay:
         wait_until(lambda: [*logs.glob("camera-*.log")], what="the cameras are started", timeout_s=60)
         pids = descendants(replay.pid)
         assert len(pids) >= 5, "the nodes, and what forks them"
         replay.send_signal(signal.SIGTERM)
         assert replay.wait(30) == 128 + signal.SIGTERM
+        assert replay.stderr is not None
+        assert f"`tuberline replay {recording} --out {out} --resume` goes on" in replay.stderr.read()
     # One that was being started when the signal came is known to no one; it ends by itself, within a second.
     wait_until(lambda: all(gone(pid) for pid in pids), what="the nodes are gone")
 

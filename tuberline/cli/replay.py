@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json as json_module
+import shlex
 import sys
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 from conveyor.errors import InputError, TuberlineError
 from conveyor.files import check_place, unwritable
+from tuberline.cli.leaving import told_to_end
 from tuberline.cli.numbers import RestingOffset, RestingSd, within
 from tuberline.forks import MODULES, ForkServer
 
@@ -75,7 +78,7 @@ def replay(
     if rrd is not None:
         check_place(rrd, option="--rrd")
     # The nodes' process loads what they need while this one looks at the recording.
-    with ForkServer.if_usable(tuple(MODULES)) or nullcontext() as forks:
+    with _says_how_to_go_on(recording, out), ForkServer.if_usable(tuple(MODULES)) or nullcontext() as forks:
         from tuberline.replayer import replay_recording, resume_replay
 
         if resume:
@@ -109,6 +112,20 @@ def replay(
         print_summary(Console(), summary, out=out)
     if summary["state"] == "nothing seen":
         raise TuberlineError(f"nothing was seen of {recording}: {summary['reason']}")
+
+
+@contextmanager
+def _says_how_to_go_on(recording: Path, out: Path) -> Iterator[None]:
+    """A replay that is told to end before it has ended: what was counted is in its ledger."""
+    from tuberline.replayer import RUN_FILE
+
+    try:
+        yield
+    except BaseException as error:
+        if told_to_end(error) is not None and (out / RUN_FILE).is_file():
+            again = shlex.join(["tuberline", "replay", str(recording), "--out", str(out), "--resume"])
+            sys.stderr.write(f"tuberline: stopped before the end; `{again}` goes on\n")
+        raise
 
 
 def parse_speed(text: str) -> float:
