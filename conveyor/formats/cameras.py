@@ -89,10 +89,9 @@ def line_names(recording: Path) -> list[str]:
         try:
             check_name(name, what="camera")
         except ConfigError as error:
-            raise InputError(
-                f"{recording}: {error}; rename the camera's folder, and its entry in line.json where there is one "
-                "(of an .mcap file: `tuberline convert` it to a folder first)"
-            ) from error
+            fix = "rename the camera's folder, and its entry in line.json where there is one"
+            again = "record or export it again with another name"
+            raise InputError(f"{recording}: {error}; {fix if recording.is_dir() else again}") from error
     return names
 
 

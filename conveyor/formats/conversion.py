@@ -9,8 +9,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from conveyor.formats import Refused, Source, camera_names, open_source
+from conveyor.errors import InputError
+from conveyor.formats import Refused, Source, open_source
 from conveyor.formats.beside import check_new, recording_files
+from conveyor.formats.cameras import line_names
 from conveyor.formats.folder.writer import FolderWriter, write_line_file
 from conveyor.formats.merged import in_time
 from conveyor.formats.source import within_ranges
@@ -47,13 +49,13 @@ def convert_recording(
         part: which run of an MCAP file that holds several, from 1 on.
 
     Raises:
-        InputError: `source` unusable, `target` there already, or a depth scale that contradicts the belt distance
-            (give the right one).
+        InputError: `source` unusable, none of its frames readable, a camera that no line can call so, `target` there
+            already, or a depth scale that contradicts the belt distance (give the right one).
     """
     check_new(target)
     sources: list[Source] = [
         open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m, part=part)
-        for name in camera_names(source)
+        for name in line_names(source)
     ]
     return write_recording(sources, target, files=recording_files(source), form=form, on_frame=on_frame)
 
@@ -69,7 +71,7 @@ def write_recording(
     """Write the frames of all `sources`, one per camera, to `target`; `files` are those beside them (truth.json).
 
     Raises:
-        InputError: a source that cannot be used, or a place that cannot be written.
+        InputError: a source that cannot be used, frames of which none can be read, or a place that cannot be written.
     """
     total = sum(one.description.frames or 0 for one in sources)
     refused: Counter[str] = Counter()
@@ -86,6 +88,8 @@ def write_recording(
                 write(item)
                 written[item.camera] += 1
             on_frame(written.total() + refused.total(), total)
+    if refused and not written:
+        raise InputError(f"{sources[0].description.origin}: no frame can be read; the first: {texts[0]}")
     if chosen == "folder":
         names = [one.description.name for one in sources]
         _write_files(target, files, [name for name in names if written[name]] or names)

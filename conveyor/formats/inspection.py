@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.errors import ConfigError
 from conveyor.formats.beside import recording_files
 from conveyor.formats.detect import camera_names, open_unchecked, recording_kind, unnamed_cameras
 from conveyor.formats.positions import POSITIONS_FILE
@@ -17,6 +18,7 @@ from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource,
 from conveyor.geometry import Intrinsics, belt_distance_m, height_coefficients
 from conveyor.messages import Frame
 from conveyor.stated import level_fault
+from conveyor.topics import check_name
 
 SAMPLES = 8
 BELT_QUANTILE = 0.75
@@ -134,7 +136,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
         warnings=(
             *texts,
             *described_doubtfully(d),
-            *_scale_warnings(frames, belt_seen_m, d),
+            *_scale_warnings(frames, belt_seen_m, d, others=max(0, len(keys) - SAMPLES)),
             *_time_warnings(gaps, keys, faults),
             *_rate_warnings(d.fps, steps_s),
         ),
@@ -175,6 +177,7 @@ def described_doubtfully(d: CameraDescription) -> tuple[str, ...]:
     """What is suspicious about a camera before any frame is looked at, in words."""
     return (
         *d.notes,
+        *_name_warnings(d.name),
         *_unit_warnings(d.depth_scale_m),
         *_intrinsics_warnings(d.intrinsics),
         *_pose_warnings(d),
@@ -187,9 +190,11 @@ def _samples(keys: list[FrameKey]) -> list[FrameKey]:
     return [keys[i] for i in at]
 
 
-def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDescription) -> list[str]:
+def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDescription, *, others: int) -> list[str]:
+    """`frames`: what could be read of those looked at. `others`: how many were not looked at."""
     if not frames:
-        return ["none of the frames looked at can be read: a replay would count nothing"]
+        so = f"{others} others were not looked at" if others else "a replay would count nothing"
+        return [f"none of the frames looked at can be read: {so}"]
     given = expected_distance_m(frames[0])
     if given is None and belt_seen_m is not None and not NEAREST_M <= belt_seen_m <= FARTHEST_M:
         return [impossible_distance(belt_seen_m, d.depth_scale_m)]
@@ -273,6 +278,15 @@ def _intrinsics_warnings(k: Intrinsics) -> list[str]:
             "this one leaves out rows or columns"
         )
     return warnings
+
+
+def _name_warnings(name: str) -> list[str]:
+    """Where no line can call a camera so: its name becomes part of topics, ids and files."""
+    try:
+        check_name(name, what="camera")
+    except ConfigError as error:
+        return [f"no line can use it: {error}"]
+    return []
 
 
 def _resting_warnings(d: CameraDescription) -> list[str]:

@@ -218,15 +218,71 @@ def test_positions_of_a_recording_that_was_removed_become_no_others(small_record
     assert not out.exists()
 
 
+@pytest.mark.parametrize("force", [False, True])
+def test_force_is_advised_where_it_helps(tmp_path: Path, force: bool) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"is no recording: it is not overwritten; choose another name$"):
+        simulate(out=tmp_path, tubers=1, force=force)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_converting_says_what_it_could_not_read(
     small_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (small_recording / "front" / "depth" / "000002.png").write_bytes(b"\x89PNG")
-    convert(small_recording, tmp_path / "r.mcap", json=True)
-    report = json.loads(capsys.readouterr().out)
+    with pytest.raises(SystemExit) as left:
+        convert(small_recording, tmp_path / "r.mcap", json=True)
+    assert left.value.code == 1, "a lossless copy that is none"
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert "frames that cannot be read: 1 broken_png; the first: frame 2: " in said.err
     assert report["refused"] == {"broken_png": 1}
     assert report["frames"] == describe_recording(small_recording).cameras[0].frames - 1
     assert inspect_recording(tmp_path / "r.mcap").cameras[0].gaps == 1
+
+
+@pytest.mark.parametrize("target", ["r.mcap", "folder"])
+def test_of_a_recording_that_cannot_be_read_no_copy_is_made(small_recording: Path, tmp_path: Path, target: str) -> None:
+    """It was an empty one, with exit code 0."""
+    for image in (small_recording / "front" / "depth").iterdir():
+        image.unlink()
+    with pytest.raises(InputError, match=r"no frame can be read; the first: frame 0: .*000000\.png"):
+        convert(small_recording, tmp_path / target)
+    assert not (tmp_path / target).exists()
+
+
+@pytest.mark.parametrize("target", ["r.mcap", "folder"])
+def test_a_camera_that_no_line_can_call_so_is_named_before_anything_is_written(
+    small_recording: Path, tmp_path: Path, target: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (small_recording / "front").rename(small_recording / "süd 1")
+    (small_recording / "line.json").unlink()
+    with pytest.raises(
+        InputError, match=r"camera name 'süd 1' cannot be used: 1 to 64 letters.*rename the camera's fo"
+    ):
+        convert(small_recording, tmp_path / target)
+    assert not (tmp_path / target).exists()
+    info(small_recording)
+    assert "no line can use it: camera name 'süd 1'" in " ".join(capsys.readouterr().out.split())
+
+
+def test_info_says_of_frames_that_it_did_not_look_at_that_it_did_not(small_recording: Path) -> None:
+    depth = small_recording / "front" / "depth"
+    looked_at = set(np.linspace(0, len([*depth.iterdir()]) - 1, 8).astype(int).tolist())
+    for n in looked_at:
+        (depth / f"{n:06}.png").unlink()
+    report = inspect_recording(small_recording).cameras[0]
+    others = report.frames - 8
+    assert others > 0
+    assert f"none of the frames looked at can be read: {others} others were not looked at" in report.warnings
+
+
+@pytest.mark.parametrize(("content", "text"), [(b"", "it is empty"), (b"random bytes", "does not begin with MCAP's")])
+def test_recover_is_advised_for_what_it_can_save(tmp_path: Path, content: bytes, text: str) -> None:
+    (tmp_path / "r.mcap").write_bytes(content)
+    with pytest.raises(InputError, match=text) as told:
+        inspect_recording(tmp_path / "r.mcap")
+    assert "tuberline recover" not in str(told.value)
 
 
 def test_info_tells_sizes_rates_gaps_and_the_belt(small_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

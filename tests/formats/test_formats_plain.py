@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from conveyor.errors import InputError
+from conveyor.errors import ConfigError, InputError
 from conveyor.formats import open_source
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.plain.pinhole import read_pinhole
@@ -133,7 +133,8 @@ def test_intrinsics_of_common_layouts_are_read(name: str, tmp_path: Path) -> Non
         ("1 0 2\n0 1 2\n", "cannot be used; expected"),
         ('{"K": [[600, 0, 40], [0, 600, 30], [0, 0, 0]]}', "holds no camera's"),
         ('{"fx": -600, "fy": 600, "cx": 40, "cy": 30}', r"intrinsics .*c\.json: focal lengths must be .* fx=-600"),
-        (f'{{"fx": 1{"0" * 400}, "fy": 600, "cx": 40, "cy": 30}}', "holds no camera's"),
+        (f'{{"fx": 1{"0" * 400}, "fy": 600, "cx": 40, "cy": 30}}', "fx is 10{39}; a finite number"),
+        ('{"fx": NaN, "fy": 600, "cx": 40, "cy": 30}', r"c\.json: fx is nan; a finite number of pixels is needed"),
         (f'{{"K": [1{"0" * 400}, 0, 40, 0, 600, 30, 0, 0, 1]}}', "holds no camera's"),
     ],
 )
@@ -219,6 +220,16 @@ def test_what_is_wrong_is_one_sentence_and_leaves_nothing(name: str, tmp_path: P
     assert "\n" not in str(refused.value)
     assert "partial" not in str(refused.value)
     assert sorted((tmp_path / "to").iterdir() if (tmp_path / "to").exists() else []) == []
+
+
+@pytest.mark.parametrize("name", ["left cam", "süd", ".x", "a/b"])
+def test_a_name_that_no_line_can_use_is_refused_before_frames_are_read(name: str, tmp_path: Path, k: Path) -> None:
+    """Every frame was left out without a word: '0 frames', with exit code 0."""
+    (tmp_path / "in").mkdir()
+    png(tmp_path / "in" / "depth_0.png", millimetres(0))
+    with pytest.raises(ConfigError, match=rf"--camera: camera name '{name}' cannot be used: 1 to 64 letters, digits"):
+        import_frames(tmp_path / "in", intrinsics=k, depth_unit=0.001, fps=15, camera=name, out=tmp_path / "to" / "out")
+    assert not (tmp_path / "to").exists()
 
 
 def test_decimal_metres_with_the_unit_of_millimetres_are_told(tmp_path: Path, k: Path) -> None:

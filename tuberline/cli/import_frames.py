@@ -61,7 +61,7 @@ def import_frames(
     from conveyor.formats.conversion import write_recording
     from conveyor.formats.plain.reader import PlainFrames
     from conveyor.formats.prepared import PreparedSource
-    from conveyor.formats.within import plain_name
+    from conveyor.topics import check_name
     from tuberline.cli.progress import frames_bar
 
     if intrinsics is None:
@@ -78,7 +78,7 @@ def import_frames(
         intrinsics=intrinsics,
         depth_unit_m=depth_unit,
         fps=fps,
-        camera=plain_name(camera, where="--camera"),
+        camera=check_name(camera, what="--camera: camera"),
         pattern=pattern,
         belt_distance_m=belt_distance_m,
     )

@@ -95,6 +95,8 @@ def convert(
 ) -> None:
     """Convert a recording to a folder, to MCAP or to ROS 2 topics, lossless; or a run with its tubers for Foxglove.
 
+    Frames that cannot be read are left out and told, and the exit code is 1 then.
+
     Parameters
     ----------
     source
@@ -119,6 +121,7 @@ def convert(
     """
     from conveyor.files import whole_output
     from conveyor.formats.beside import check_new
+    from conveyor.formats.cameras import told_unreadable
     from conveyor.formats.conversion import convert_recording
     from tuberline.cli.progress import frames_bar
 
@@ -140,9 +143,8 @@ def convert(
     if json:
         report = {"out": str(target), "frames": done.frames, "refused": done.refused}
         sys.stdout.write(json_module.dumps(report) + "\n")
-        return
-    sys.stdout.write(f"{done.frames} frames in {target}\n")
-    for text in done.texts:
-        sys.stderr.write(f"refused {text}\n")
+    else:
+        sys.stdout.write(f"{done.frames} frames in {target}\n")
     if done.refused:
-        sys.stdout.write(f"{sum(done.refused.values())} frames could not be read: {done.refused}\n")
+        sys.stderr.write(f"tuberline: {told_unreadable(done.refused, done.texts[0])}\n")
+        raise SystemExit(1)

@@ -141,13 +141,14 @@ def _replaced(out: Path, *, force: bool) -> Path | None:
 
     if out.is_dir() and not any(out.iterdir()):
         return None
+    is_file = out.suffix == ".mcap" and out.is_file()
+    is_recording = is_file or (out / "truth.json").is_file() or any(out.glob("*/camera.json"))
+    if out.exists() and not is_recording:
+        raise InputError(f"{out} exists and is no recording: it is not overwritten; choose another name")
     if not force:
         check_new(out, fix="choose another name or add --force")
     if not out.exists():
         return out if out.suffix == ".mcap" else None
-    is_file = out.suffix == ".mcap" and out.is_file()
-    if not is_file and not (out / "truth.json").is_file() and not any(out.glob("*/camera.json")):
-        raise InputError(f"{out} exists and is no recording: it is not overwritten")
     return out
 
 

@@ -224,11 +224,16 @@ def open_mcap(path: Path) -> Iterator[Any]:
     """The library's reader of the file at `path`, its errors as ours."""
     try:
         with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                what = "does not begin with MCAP's magic bytes" if path.stat().st_size else "is empty"
+                raise InputError(f"{path} is no MCAP file: it {what}")
+            file.seek(0)
             yield SeekingReader(file, validate_crcs=True, record_size_limit=1 << 30)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     except DAMAGE as error:
-        damage = f"{path} is cut or damaged ({type(error).__name__}: {error}). {recover_it(path)}"
+        why = ": ".join(filter(None, (type(error).__name__, str(error))))
+        damage = f"{path} is cut or damaged ({why}). {recover_it(path)}"
         raise InputError(being_written(path) or damage) from error
 
 

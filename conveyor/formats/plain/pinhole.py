@@ -72,13 +72,18 @@ def read_pinhole(path: Path) -> Pinhole:
     text = read_text(path, what="intrinsics")
     if not text.lstrip().startswith(("{", "[")):
         return _of_text(text, path)
-    found = dict(_cameras(json_of(text, where=f"intrinsics {path}"), path.stem, 0))
+    value = json_of(text, where=f"intrinsics {path}")
+    found, fault = dict(_cameras(value, path.stem, 0)), _no_number(value)
     if len(found) > 1:
         found = {name: camera for name, camera in found.items() if "depth" in name.lower()} or found
     if len(found) == 1:
         return next(iter(found.values()))
     if not found:
-        raise InputError(f"intrinsics {path} holds no camera's intrinsics; expected {EXPECTED}")
+        raise InputError(
+            f"intrinsics {path}: {fault}"
+            if fault
+            else f"intrinsics {path} holds no camera's intrinsics; expected {EXPECTED}"
+        )
     raise InputError(
         f"intrinsics {path} holds those of {len(found)} cameras ({', '.join(found)}): save the depth camera's alone"
     )
@@ -110,6 +115,14 @@ def _cameras(value: Any, name: str, depth: int) -> Iterator[tuple[str, Pinhole]]
     elif isinstance(value, list):
         for at, inner in enumerate(value):
             yield from _cameras(inner, f"{name}.{at}" if depth else str(at), depth + 1)
+
+
+def _no_number(value: Any) -> str:
+    """Which of a camera's four numbers is none; empty where that is not what is wrong."""
+    for key, given in value.items() if isinstance(value, dict) else ():
+        if key.lower() in ("fx", "fy", "cx", "cy", "ppx", "ppy") and _number(given) is None:
+            return f"{key} is {given!r:.40}; a finite number of pixels is needed"
+    return ""
 
 
 def _of_mapping(data: Mapping[str, Any]) -> Pinhole | None:
