@@ -148,14 +148,6 @@ def fault_of(error: OSError, text: str) -> InputError:
     return OutputError(text) if may_pass(error) else InputError(text)
 
 
-def picture_fault(path: Path) -> InputError:
-    """The error to raise for a picture that OpenCV could not write, which does not say why."""
-    trouble = unwritable(path.parent)
-    if trouble:
-        return OutputError(f"{path} cannot be written: {trouble}")
-    return InputError(f"{path} cannot be written; may this user write there, and files become so large?")
-
-
 def check_place(target: Path, *, option: str) -> None:
     """Refuse before minutes of work what could not be written after them; the folder of `target` is made.
 

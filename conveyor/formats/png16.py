@@ -1,15 +1,18 @@
-"""PNG files of depth and of labels, read with suspicion."""
+"""PNG files of depth and of labels, read with suspicion, and how all pictures of a recording are written."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.files import cause, fault_of
 from conveyor.wire import MAX_ARRAY_BYTES
 
 
@@ -73,3 +76,18 @@ def is_whole_png(data: NDArray[np.uint8]) -> bool:
         if kind == b"IEND":
             return bool(at <= len(raw))
     return False
+
+
+def write_png(path: Path, image: NDArray[Any], options: Sequence[int]) -> None:
+    """Write (h, w) or (h, w, channels) uint8 or uint16 as OpenCV's `options` say.
+
+    OpenCV's own writer says why it could not on standard error, and nowhere else.
+
+    Raises:
+        InputError: this user may not write there. OutputError: its disk is full or read-only.
+    """
+    data = cv2.imencode(".png", image, options)[1]
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise fault_of(error, f"{path} cannot be written: {cause(error)}") from error

@@ -8,11 +8,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
-from conveyor.files import picture_fault
 from conveyor.formats.folder.layout import COLUMNS, camera_json
+from conveyor.formats.png16 import write_png
 from conveyor.formats.source import CameraDescription
 from conveyor.formats.within import plain_name
 from conveyor.messages import Frame
@@ -54,22 +52,16 @@ class FolderWriter:
     def write(self, frame: Frame) -> None:
         """Append `frame`; its numbers must rise."""
         name = f"{frame.seq:06d}"
-        write_png16(self._folder / "depth" / f"{name}.png", frame.depth)
+        write_png(self._folder / "depth" / f"{name}.png", frame.depth, _FAST_PNG)
         if frame.mask is not None:
             (self._folder / "mask").mkdir(exist_ok=True)
-            write_png16(self._folder / "mask" / f"{name}.png", frame.mask)
+            write_png(self._folder / "mask" / f"{name}.png", frame.mask, _FAST_PNG)
         if frame.color_jpeg is not None:
             (self._folder / "color").mkdir(exist_ok=True)
             frame.color_jpeg.tofile(self._folder / "color" / f"{name}.jpg")
         travel = "" if frame.travel_m is None else repr(float(frame.travel_m))
         self._rows.write(f"{frame.seq},{frame.captured_ns},{travel}\n")
         self.frames += 1
-
-
-def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
-    """A 16-bit PNG, written fast rather than small."""
-    if not cv2.imwrite(str(path), image, _FAST_PNG):
-        raise picture_fault(path)
 
 
 def write_line_file(recording: Path, cameras: list[str], *, belt_speed_mps: float | None) -> None:

@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.files import picture_fault
 from conveyor.formats.ply import write_ply
+from conveyor.formats.png16 import write_png
 from conveyor.formats.potatotwin.intrinsics import intrinsics_json
 from conveyor.formats.potatotwin.layout import CLOUDS, IMAGES, INTRINSICS, RGBD, SPLITS, TRUTH
 from conveyor.geometry import Intrinsics
 
+_SMALL_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 3]
 COLUMNS = (
     "label", "unique_id", "growing_season", "cultivar", "weight_g_inctack", "x1_length_mm", "x2_width_mm",
     "x3_depth_mm", "volume_ml", "volume_metashape",
@@ -82,11 +83,6 @@ class TwinFolderWriter:
         images, clouds = (self._out / RGBD / part / label for part in (IMAGES, CLOUDS))
         for folder in (images, clouds):
             folder.mkdir(parents=True, exist_ok=True)
-        _write_png(images / f"{label}_depth_{row:03d}.png", depth)
-        _write_png(images / f"{label}_rgb_{row:03d}.png", rgba)
+        write_png(images / f"{label}_depth_{row:03d}.png", depth, _SMALL_PNG)
+        write_png(images / f"{label}_rgb_{row:03d}.png", rgba, _SMALL_PNG)
         write_ply(clouds / f"{label}_pcd_{row:03d}.ply", points)
-
-
-def _write_png(path: Path, image: NDArray[Any]) -> None:
-    if not cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 3]):
-        raise picture_fault(path)
