@@ -50,6 +50,7 @@ from aggregator.ledger.steps import first_step, next_step
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView, unmade
 from conveyor.errors import LedgerError, StorageError
+from conveyor.files import cause, may_pass
 from conveyor.messages import Tuber
 
 BUSY_TIMEOUT_S = 5.0
@@ -77,7 +78,8 @@ class Ledger:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise StorageError(f"folder {self.path.parent} for the ledger cannot be made: {error.strerror}") from error
+            text = f"folder {self.path.parent} for the ledger (aggregator.out) cannot be made: {cause(error)}"
+            raise (StorageError(text) if may_pass(error) else LedgerError(text)) from error
         if self.path.exists() and self.path.stat().st_size and not os.access(self.path, os.W_OK):
             raise StorageError(f"ledger {self.path} is read-only; give the user write access to it and to its folder")
         acknowledged = read_receipt(receipt_path(self.path))

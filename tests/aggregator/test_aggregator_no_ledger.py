@@ -126,6 +126,14 @@ def test_a_ledger_whose_first_pages_are_gone_is_still_one(gone: list[int], finis
     assert check_file(path) == []
 
 
+def test_a_ledger_where_no_folder_can_be_is_refused_for_good(tmp_path: Path) -> None:
+    """A line tried again for ever, as if a disk were away."""
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(LedgerError, match=r"aggregator\.out.*a file lies where a folder is needed") as told:
+        Ledger(tmp_path / "out" / "ledger.db").__enter__()
+    assert told.value.exit_code == 2
+
+
 def test_a_check_does_not_advise_a_check(tmp_path: Path) -> None:
     """Of damaged pages it said: '`tuberline ledger check` lists the damage'."""
     path = tmp_path / "ledger.db"

@@ -194,6 +194,13 @@ def test_a_recording_that_is_not_here_is_warned_of(tmp_path: Path, capsys: pytes
         assert capsys.readouterr().out == f"{file} {verdict}: line 'line', cameras side\n"
 
 
+def test_a_ledger_s_folder_that_is_none_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check(write(tmp_path, '[aggregator]\nout = "/dev/null"'))
+    told = capsys.readouterr()
+    assert "is accepted, with 1 warning" in told.out
+    assert told.err.startswith("warning: aggregator.out: /dev/null is no folder on this computer")
+
+
 def test_a_segmenter_keeps_its_log_on_disk_where_its_file_names_no_folder(tmp_path: Path) -> None:
     """Without it a segmenter that was killed left 151 of 160 tubers, a load 60 % too heavy, and books that did not
     balance.

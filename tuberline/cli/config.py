@@ -21,10 +21,10 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
-    Warned of is what may lie on another computer of the line: recordings, weights, tickets, contracts and channels of
-    alarms that cannot be read here. So are cameras without a recording or not in theirs, live cameras that hang at one
-    place, and an encoder that no camera hears. The last line says how many warnings there are; they do not change the
-    exit code.
+    Warned of is what may lie on another computer of the line: recordings, weights, tickets, contracts and channels
+    of alarms that cannot be read here. So are cameras without a recording or not in theirs, live cameras that hang
+    at one place, an encoder that no camera hears, and a ledger's folder that is none. The last line says how many
+    warnings there are; they do not change the exit code.
 
     Parameters
     ----------
@@ -55,6 +55,8 @@ def _warnings(line: LineConfig) -> Iterator[str]:
             yield f"cameras.{name}.path: {camera.path} is not on this computer"
         if camera.path is None and camera.source == "recording":
             yield f"cameras.{name} has no path: a camera that replays a recording cannot start"
+    if os.path.exists(out := line.aggregator.out) and not os.path.isdir(out):
+        yield f"aggregator.out: {out} is no folder on this computer: the ledger needs one of its own"
     if together := at_one_place(line.cameras):
         yield hang_together(together)
     if line.encoder is not None and not line.hears_encoder:
