@@ -44,7 +44,7 @@ class Receipt:
         except BlockingIOError as error:
             os.close(self._fd)
             raise StorageError(
-                f"the ledger of {self._path} is being written by another process; stop it, or use another folder"
+                f"the ledger in {self._path.parent} is being written by another process; stop it, or use another folder"
             ) from error
         except OSError as error:
             raise StorageError(f"receipt {self._path} cannot be written: {error.strerror}") from error
