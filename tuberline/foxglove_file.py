@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 
 GIVE_RECORDING = "give the recording of the run with --recording RECORDING"
-WITHIN_NS = 1_000_000_000
-"""All tubers of a run crossed between the first and the last frame of its recording, to so much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ def write_foxglove(
         open_source(frames, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
         for name in camera_names(frames)
     ]
-    if len(sources) < len(counted.cameras):
+    if len(sources) < len(counted.cameras) and len(_named_by(source)) == 1:  # all of its cameras are in one recording
         names = ", ".join(one.description.name for one in sources)
         raise InputError(
             f"{frames} is not the recording of {source}: its cameras are {names}, and the run counted with "
@@ -113,9 +111,9 @@ def write_foxglove(
                 outlet.come_to(item.captured_ns)
                 done += 1
             on_frame(done + refused.total(), total)
-        if (at_s := story.crossed_outside_s()) is not None:
+        if (at_s := story.all_outside_s()) is not None:
             raise InputError(
-                f"{frames} is not the recording of {source}: a tuber of the run crossed {abs(at_s):.1f} s "
+                f"{frames} is not the recording of {source}: all tubers of the run crossed {abs(at_s):.1f} s and more "
                 f"{'after its last' if at_s > 0 else 'before its first'} frame; {GIVE_RECORDING}"
             )
         story.end()
@@ -150,17 +148,17 @@ class _Story:
         while self._to_come and self._to_come[-1].place_x_m + travel_m >= self._belt.enters_at_m:
             self._say(self._belt.on_tuber(self._to_come.pop()))
 
-    def crossed_outside_s(self) -> float | None:
-        """By how much a tuber crossed before the first frame (below 0) or after the last one; None where all crossed
-        between them, to a second.
+    def all_outside_s(self) -> float | None:
+        """By how much the nearest tuber crossed before the first frame (below 0) or after the last one, where all did;
+        None where one crossed between them, or there is none.
         """
         if self._first_ns is None:
             return None
-        for tuber in self._counted.tubers:
-            for ends_ns, sign in ((self._first_ns, -1), (self._newest_ns, 1)):
-                if sign * (tuber.crossed_ns - ends_ns) > WITHIN_NS:
-                    return (tuber.crossed_ns - ends_ns) / 1e9
-        return None
+        outside = [
+            min(tuber.crossed_ns - self._first_ns, 0) + max(tuber.crossed_ns - self._newest_ns, 0)
+            for tuber in self._counted.tubers
+        ]
+        return min(outside, key=abs, default=0) / 1e9 or None
 
     def end(self) -> None:
         """What crossed with the last frames, and the load."""
@@ -202,13 +200,24 @@ def _totals(summary: str | None) -> Totals | None:
     return Totals(**{**values, "histogram": tuple(values.get("histogram", ()))})
 
 
+def _settings_of(source: Path) -> Path:
+    """Where the settings of a run lie, or would lie."""
+    return (source if source.is_dir() else source.parent) / CONFIG_FILE
+
+
+def _named_by(source: Path) -> set[Path]:
+    """The recordings that a run's settings name; empty without them."""
+    settings = _settings_of(source)
+    cameras = load_config(settings).cameras.values() if settings.is_file() else ()
+    return {camera.path for camera in cameras if camera.path is not None}
+
+
 def _recording_of(source: Path) -> Path:
     """The recording that a run was made of, by the settings beside its ledger."""
-    folder = source if source.is_dir() else source.parent
-    settings = folder / CONFIG_FILE
+    settings = _settings_of(source)
     if not settings.is_file():
-        raise InputError(f"{folder} has no {CONFIG_FILE} that names the recording; {GIVE_RECORDING}")
-    paths = {camera.path for camera in load_config(settings).cameras.values() if camera.path is not None}
+        raise InputError(f"{settings.parent} has no {CONFIG_FILE} that names the recording; {GIVE_RECORDING}")
+    paths = _named_by(source)
     if len(paths) != 1:
         said = "no recording" if not paths else f"{len(paths)} recordings"
         raise InputError(f"{settings} names {said}; {GIVE_RECORDING}")

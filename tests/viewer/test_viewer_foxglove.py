@@ -19,6 +19,7 @@ import viewer_line as line
 
 from aggregator.ledger.writer import Ledger
 from conveyor import topics
+from conveyor.config import CameraConfig, LineConfig, dump_toml
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
 from conveyor.errors import ConfigError, InputError, LedgerError
 from conveyor.formats.conversion import write_recording
@@ -148,14 +149,19 @@ class Later(Filmed):
 def test_a_run_is_not_shown_over_another_ones_pictures(filmed: tuple[Path, Path], tmp_path: Path) -> None:
     run = filmed[1]
     write_recording([Later()], tmp_path / "later", files={})
-    with pytest.raises(InputError, match=r"a tuber of the run crossed \d{4}\.\d s before its first frame"):
+    with pytest.raises(InputError, match=r"all tubers of the run crossed \d{4}\.\d s and more before its first frame"):
         convert(run, tmp_path / "run.mcap", format="foxglove", recording=tmp_path / "later")
     (tmp_path / "two").mkdir()
     with Ledger(tmp_path / "two" / "ledger.db") as ledger:
         ledger.open_run("both", line="line", cameras=("left", "right"), version="1", started_ns=line.START_NS)
+    one = CameraConfig(path=tmp_path / "gone")
+    (tmp_path / "two" / "line.toml").write_text(dump_toml(LineConfig(cameras={"left": one, "right": one})))
     with pytest.raises(InputError, match=rf"its cameras are {CAMERA}, and the run counted with left, right"):
         convert(tmp_path / "two", tmp_path / "run.mcap", format="foxglove", recording=filmed[0])
     assert {path.name for path in tmp_path.iterdir()} == {"later", "two"}
+    other = CameraConfig(path=tmp_path / "right")
+    (tmp_path / "two" / "line.toml").write_text(dump_toml(LineConfig(cameras={"left": one, "right": other})))
+    convert(tmp_path / "two", tmp_path / "run.mcap", format="foxglove", recording=filmed[0])  # that of one of them
 
 
 def test_what_cannot_be_shown_is_refused_and_nothing_is_left(filmed: tuple[Path, Path], tmp_path: Path) -> None:
