@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-UNITS = {
+_UNITS = {
     "mm2": "mm²",
     "mm": "mm",
     "ms": "ms",
@@ -65,6 +65,11 @@ _PATTERNS = {
 """What a text must be, by its pattern; one that is not here is told as it is."""
 
 
+def unit_of(name: str) -> str:
+    """The unit of a field, by the last part of its name; empty where that is none."""
+    return _UNITS.get(name.rpartition("_")[2], "")
+
+
 def in_words(fault: Mapping[str, Any]) -> str:
     """What is wrong with the value, and what is allowed, with its unit where the field's name has one.
 
@@ -100,5 +105,5 @@ def _number(limit: Any) -> str:
 def _unit(fault: Mapping[str, Any]) -> str:
     """By the name of the field, or of the list that the number is in."""
     name = next((part for part in reversed(fault["loc"]) if isinstance(part, str)), "")
-    unit = UNITS.get(name.rpartition("_")[2])
+    unit = unit_of(name)
     return f" {unit}" if unit else ""

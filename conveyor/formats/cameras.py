@@ -66,8 +66,12 @@ class CameraFrames:
                 readable += 1
                 yield item
         if not readable:
-            first = f"; the first: {self.first_fault}" if self.first_fault else ""
-            raise InputError(f"{self.description.origin}: no frame can be read{first}")
+            raise none_readable(self.description.origin, self.first_fault)
+
+
+def none_readable(origin: str, first_fault: str) -> InputError:
+    """The error to raise for a recording of which no frame can be read; what the first of them said, where any did."""
+    return InputError(f"{origin}: no frame can be read" + (f"; the first: {first_fault}" if first_fault else ""))
 
 
 def told_unreadable(unreadable: Mapping[str, int], first_fault: str) -> str:
@@ -115,7 +119,7 @@ def check_readable(recording: Path, *, ignore_masks: bool = False) -> list[str]:
     _check_one_clock(recording, {name: frames[0].captured_ns for name, frames in by_clock.items()})
     if not any(frames for frames, _ in found):
         fault = next((refused.text for _, refused in found if refused), "")
-        raise InputError(f"{recording}: no frame can be read" + (f"; the first: {fault}" if fault else ""))
+        raise none_readable(str(recording), fault)
     return names
 
 

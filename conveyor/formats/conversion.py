@@ -9,10 +9,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from conveyor.errors import InputError
 from conveyor.formats import Refused, Source, open_source
 from conveyor.formats.beside import check_new, recording_files
-from conveyor.formats.cameras import line_names
+from conveyor.formats.cameras import line_names, none_readable
 from conveyor.formats.folder.writer import FolderWriter, write_line_file
 from conveyor.formats.merged import in_time
 from conveyor.formats.source import within_ranges
@@ -89,7 +88,7 @@ def write_recording(
                 written[item.camera] += 1
             on_frame(written.total() + refused.total(), total)
     if refused and not written:
-        raise InputError(f"{sources[0].description.origin}: no frame can be read; the first: {texts[0]}")
+        raise none_readable(sources[0].description.origin, texts[0])
     if chosen == "folder":
         names = [one.description.name for one in sources]
         _write_files(target, files, [name for name in names if written[name]] or names)

@@ -297,34 +297,6 @@ def test_a_killed_process_is_followed_without_a_tuber_lost_or_renumbered(
     assert mark.tracks["opened"] == mark.tracks["counted"] + gone + mark.tracks["open"]
 
 
-def test_a_replay_that_starts_again_takes_back_nothing_that_it_looked_at(frames: list[Frame], tmp_path: Path) -> None:
-    settings = replace(SETTINGS, replays=True)
-    first = CameraRun("front", "r1", settings, tmp_path / "front.db")
-    first.open()
-    play(first, frames[:45], names={"a"})
-    left = first.log.last_mark
-    first.close()
-    assert left is not None
-    assert left.looked_at_m > 0.3
-
-    second = CameraRun("front", "r1", settings, tmp_path / "front.db")
-    second.open()
-    again = next(n for n, frame in enumerate(frames) if frame.captured_ns > left.captured_ns)
-    play(second, frames[:again], names={"a"}, start_s=5.0)
-    assert second.log.last_mark == left, "it says nothing of belt that its log has already"
-    play(second, frames[again:], names={"a"}, start_s=6.0)
-    went_on = second.log.last_mark
-    assert went_on is not None
-    assert went_on.looked_at_m > left.looked_at_m
-    assert not went_on.final
-    finish(second, 9.0, {"a"})
-    last = second.log.last_mark
-    assert last is not None
-    assert last.final
-    assert last.looked_at_m == last.travelled_m == pytest.approx((FRAMES - 1) * STEP_M)
-    second.close()
-
-
 def test_silence_makes_no_gap_where_the_camera_waits(frames: list[Frame]) -> None:
     """A busy machine or a cut link kept a frame away for 2 s and it was given up, though the camera sends it again."""
     run = CameraRun("front", "r1", SETTINGS, None)

@@ -16,33 +16,27 @@ from cyclopts import App
 from cyclopts.exceptions import CycloptsError
 
 from tests.aggregator.finished_ledger import write_finished
-from tests.tuberline.test_tuberline_numbers import needed
+from tests.tuberline.test_tuberline_numbers import commands, needed
 from tuberline.cli import build_app
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def with_an_empty_word(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def with_an_empty_word(app: App) -> Iterator[tuple[str, ...]]:
     """A command line for each option and each place of each command, which is empty there and lacks nothing else."""
-    for name in app:
-        if name.startswith("-") or name in ("lab", "parts"):
-            continue
-        command, words = app[name], (*path, name)
-        if command.default_command is not None:
-            options = [option for option in command.assemble_argument_collection() if not option.children]
-            placed = sorted((option for option in options if option.index is not None), key=lambda one: one.index or 0)
-            for option in options:
-                if "bool" in str(option.hint):
-                    continue
-                named = [word for one in options if one.index is None and one is not option for word in needed(one)]
-                if option.index is None:
-                    others = [word for one in placed for word in needed(one)]
-                    yield (*words, *others, *named, f"{option.name}=")
-                else:
-                    before = ["1" for one in placed if (one.index or 0) < option.index]
-                    after = [word for one in placed if (one.index or 0) > option.index for word in needed(one)]
-                    yield (*words, *named, *before, "", *after)
-        yield from with_an_empty_word(command, words)
+    for words, options in commands(app):
+        placed = sorted((option for option in options if option.index is not None), key=lambda one: one.index or 0)
+        for option in options:
+            if "bool" in str(option.hint):
+                continue
+            named = [word for one in options if one.index is None and one is not option for word in needed(one)]
+            if option.index is None:
+                others = [word for one in placed for word in needed(one)]
+                yield (*words, *others, *named, f"{option.name}=")
+            else:
+                before = ["1" for one in placed if (one.index or 0) < option.index]
+                after = [word for one in placed if (one.index or 0) > option.index for word in needed(one)]
+                yield (*words, *named, *before, "", *after)
 
 
 EMPTY = list(with_an_empty_word(build_app()))

@@ -20,20 +20,25 @@ from tuberline.cli.page import page
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def numbers(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str, type]]:
-    """Every option of every command that is a number: a line that lacks nothing else, the option, float or int."""
+def commands(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], list[Argument]]]:
+    """Every command, by its words, with its options and places."""
     for name in app:
         if name.startswith("-") or name in ("lab", "parts"):
             continue
         command, words = app[name], (*path, name)
         if command.default_command is not None:
-            options = [option for option in command.assemble_argument_collection() if not option.children]
-            for option in options:
-                kind = next((kind for kind in (float, int) if kind in (option.hint, *get_args(option.hint))), None)
-                if kind is not None:
-                    others = [word for other in options if other is not option for word in needed(other)]
-                    yield (*words, *others), option.name, kind
-        yield from numbers(command, words)
+            yield words, [option for option in command.assemble_argument_collection() if not option.children]
+        yield from commands(command, words)
+
+
+def numbers(app: App) -> Iterator[tuple[tuple[str, ...], str, type]]:
+    """Every option of every command that is a number: a line that lacks nothing else, the option, float or int."""
+    for words, options in commands(app):
+        for option in options:
+            kind = next((kind for kind in (float, int) if kind in (option.hint, *get_args(option.hint))), None)
+            if kind is not None:
+                others = [word for other in options if other is not option for word in needed(other)]
+                yield (*words, *others), option.name, kind
 
 
 def needed(option: Argument) -> list[str]:

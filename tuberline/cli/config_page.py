@@ -11,7 +11,7 @@ from typing import Any
 
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
-from conveyor.refused import UNITS
+from conveyor.refused import unit_of
 from tuberline.cli.config_examples import example
 
 CAMERA = "<camera>"
@@ -158,7 +158,7 @@ def _setting(key: str, field: Mapping[str, Any]) -> Setting:
         type=_type(value),
         default=_default(field),
         range=_range(value),
-        unit=_UNITS_OF.get(key) or UNITS.get(key.rpartition("_")[2], ""),
+        unit=_UNITS_OF.get(key) or unit_of(key),
         meaning=field.get("description", ""),
         example=f"`{example(key, value, field.get('default'))}`",
     )
