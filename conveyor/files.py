@@ -55,26 +55,29 @@ def whole_output(target: Path) -> Iterator[Path]:
 
     The path has the name of `target` and lies in a folder of its own beside it. All that is written into that folder
     (a truth beside a recording, a sidecar beside a network) is moved with it. Where `target` is a folder that is there
-    already, what was made is put into it. Where the block raises, all of it is removed.
+    already, what was made is put into it; where nothing can be moved into that from beside it, it is made in it. Where
+    the block raises, all of it is removed.
 
     Raises:
         InputError: the place cannot be written, or a file that the block reads cannot be; the text says which, why, and
             how to fix it. OutputError: of these a disk that is full, read-only, away or reports errors.
     """
     scratch: Path | None = None
+    place = target.resolve() if target.is_dir() else target  # '.' and '..' have no name
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
-        yield scratch / target.name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{place.name}.partial-", dir=_beside(place)))
+        yield scratch / place.name
         for made in sorted(scratch.iterdir()):
-            _move(made, target.parent / made.name)
+            _move(made, place.parent / made.name)
     except OSError as error:
         if scratch is not None and error.filename is not None and str(scratch) not in str(error.filename):
             raise fault_of(error, told(error)) from error  # of what the block reads
         raise fault_of(error, f"{target} cannot be written: {cause(error)}") from error
     except InputError as error:
         if scratch is not None:
-            error.args = (str(error).replace(str(scratch), str(target.parent)), *error.args[1:])
+            named = str(error).replace(str(scratch / place.name), str(target))
+            error.args = (named.replace(str(scratch), str(target.parent)), *error.args[1:])
         raise
     finally:
         if scratch is not None:
@@ -189,6 +192,12 @@ def unwritable(folder: Path) -> str:
     if free_blocks * disk.f_frsize < LEAST_FREE_BYTES:
         return cause(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
     return ""
+
+
+def _beside(place: Path) -> Path:
+    """A folder on the disk of `place`: its own, but where `place` is a disk, or lies where this user may not write."""
+    inside = place.is_dir() and (place.is_mount() or not os.access(place.parent, os.W_OK))
+    return place if inside else place.parent
 
 
 def _move(made: Path, to: Path) -> None:

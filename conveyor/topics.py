@@ -110,8 +110,8 @@ def check_name(name: str, *, what: str) -> str:
     """Names become parts of keys, file names and unit names: letters, digits, '.', '_' and '-', at most 64."""
     if not _NAME.fullmatch(name):
         raise ConfigError(
-            f"{what} name '{name}' cannot be used: 1 to 64 letters, digits, '.', '_' or '-', starting with a "
-            "letter or digit"
+            f"{what} name '{name}' cannot be used: 1 to 64 letters (a to z, A to Z), digits, '.', '_' or '-', starting "
+            "with a letter or digit, such as 'front-2'"
         )
     return name
 

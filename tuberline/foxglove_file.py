@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from conveyor.config import load_config
 from conveyor.errors import InputError
 from conveyor.formats import Refused, Source, camera_names, open_source
+from conveyor.formats.cameras import none_readable
 from conveyor.formats.conversion import Converted
 from conveyor.formats.merged import in_time
 from conveyor.messages import Frame, Totals, Tuber
@@ -76,7 +77,7 @@ def write_foxglove(
     ledger.
 
     Raises:
-        InputError: what cannot be read, a run whose recording is not there, or another one's recording.
+        InputError: what cannot be read, no readable frame, a run whose recording is not there, or another one's.
         ConfigError: foxglove-sdk is not installed.
     """
     from viewer.foxglove.mcap_file import McapOutlet
@@ -111,6 +112,8 @@ def write_foxglove(
                 outlet.come_to(item.captured_ns)
                 done += 1
             on_frame(done + refused.total(), total)
+        if refused and not done:
+            raise none_readable(str(frames), texts[0])
         if (at_s := story.all_outside_s()) is not None:
             raise InputError(
                 f"{frames} is not the recording of {source}: all tubers of the run crossed {abs(at_s):.1f} s and more "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import ConfigError, InputError
-from conveyor.formats.detect import camera_names, open_source
+from conveyor.formats.detect import camera_names, open_source, recording_kind
 from conveyor.formats.prepared import PreparedSource
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.messages import Frame
@@ -78,8 +78,8 @@ def told_unreadable(unreadable: Mapping[str, int], first_fault: str) -> str:
     """Frames that were refused, by reason, and what the first of them said; empty where there are none."""
     if not unreadable:
         return ""
-    reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(unreadable.items()))
-    return f"frames that cannot be read: {reasons}; the first: {first_fault}"
+    reasons = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in sorted(unreadable.items()))
+    return f"frames that cannot be used: {reasons}; the first: {first_fault}"
 
 
 def line_names(recording: Path) -> list[str]:
@@ -93,9 +93,10 @@ def line_names(recording: Path) -> list[str]:
         try:
             check_name(name, what="camera")
         except ConfigError as error:
+            of_folder = recording_kind(recording) == "folder"
             fix = "rename the camera's folder, and its entry in line.json where there is one"
             again = "record or export it again with another name"
-            raise InputError(f"{recording}: {error}; {fix if recording.is_dir() else again}") from error
+            raise InputError(f"{recording}: {error}; {fix if of_folder else again}") from error
     return names
 
 

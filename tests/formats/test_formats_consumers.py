@@ -197,7 +197,7 @@ def test_a_folder_with_one_broken_frame_is_read_without_it(tmp_path: Path) -> No
     (calibration,) = calibrate_recording(root)
     assert (calibration.frames, calibration.unreadable) == (FRAMES - 1, {"broken_png": 1})
     said = told_unreadable(calibration.unreadable, calibration.first_fault)
-    assert said.startswith("frames that cannot be read: 1 broken_png; the first: frame 3: ")
+    assert said.startswith("frames that cannot be used: 1 broken png; the first: frame 3: ")
     assert said.endswith("000003.png is truncated or no PNG; copy it again"), "`info` looks at eight frames"
     assert CONSUMERS["segment"](root)[0].first_fault == calibration.first_fault
     assert CONSUMERS["evaluate-segmentation"](root).unreadable == {"broken_png": 1}

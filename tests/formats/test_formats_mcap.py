@@ -135,7 +135,7 @@ def test_an_undecodable_message_is_refused_by_number_and_the_rest_goes_on(mcap: 
     assert isinstance(items[5], Frame)
 
 
-@pytest.mark.parametrize("kept", [0.15, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("kept", [0.5, 0.9, 0.999])
 def test_a_cut_file_is_refused_with_the_way_out_and_saved_up_to_the_cut(
     mcap: Path, tmp_path: Path, kept: float
 ) -> None:
@@ -147,11 +147,9 @@ def test_a_cut_file_is_refused_with_the_way_out_and_saved_up_to_the_cut(
         open_source(cut)
     saved = recover(cut, tmp_path / "saved.mcap")
     assert not saved.whole
-    count = saved.messages.get("camera/front/frame", 0)
-    assert count >= int(kept * len(whole)) - 10  # at most one chunk of 1 MiB is lost
-    if count:
-        saved = [item.encode() for item in open_source(tmp_path / "saved.mcap").frames(run="x")]
-        assert saved == whole[:count]
+    count = saved.messages["camera/front/frame"]
+    assert count >= max(1, int(kept * len(whole)) - 10)  # at most one chunk of 1 MiB is lost
+    assert [item.encode() for item in open_source(tmp_path / "saved.mcap").frames(run="x")] == whole[:count]
 
 
 def test_a_flipped_bit_loses_what_follows_and_nothing_silently(mcap: Path, tmp_path: Path) -> None:
@@ -235,7 +233,7 @@ def test_converting_says_what_it_could_not_read(
     assert left.value.code == 1, "a lossless copy that is none"
     said = capsys.readouterr()
     report = json.loads(said.out)
-    assert "frames that cannot be read: 1 broken_png; the first: frame 2: " in said.err
+    assert "frames that cannot be used: 1 broken png; the first: frame 2: " in said.err
     assert report["refused"] == {"broken_png": 1}
     assert report["frames"] == describe_recording(small_recording).cameras[0].frames - 1
     assert inspect_recording(tmp_path / "r.mcap").cameras[0].gaps == 1
@@ -275,14 +273,6 @@ def test_info_says_of_frames_that_it_did_not_look_at_that_it_did_not(small_recor
     others = report.frames - 8
     assert others > 0
     assert f"none of the frames looked at can be read: {others} others were not looked at" in report.warnings
-
-
-@pytest.mark.parametrize(("content", "text"), [(b"", "it is empty"), (b"random bytes", "does not begin with MCAP's")])
-def test_recover_is_advised_for_what_it_can_save(tmp_path: Path, content: bytes, text: str) -> None:
-    (tmp_path / "r.mcap").write_bytes(content)
-    with pytest.raises(InputError, match=text) as told:
-        inspect_recording(tmp_path / "r.mcap")
-    assert "tuberline recover" not in str(told.value)
 
 
 def test_info_tells_sizes_rates_gaps_and_the_belt(small_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

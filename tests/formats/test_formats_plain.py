@@ -135,7 +135,10 @@ def test_intrinsics_of_common_layouts_are_read(name: str, tmp_path: Path) -> Non
         ('{"fx": -600, "fy": 600, "cx": 40, "cy": 30}', r"intrinsics .*c\.json: focal lengths must be .* fx=-600"),
         (f'{{"fx": 1{"0" * 400}, "fy": 600, "cx": 40, "cy": 30}}', "fx is 10{39}; a finite number"),
         ('{"fx": NaN, "fy": 600, "cx": 40, "cy": 30}', r"c\.json: fx is nan; a finite number of pixels is needed"),
-        (f'{{"K": [1{"0" * 400}, 0, 40, 0, 600, 30, 0, 0, 1]}}', "holds no camera's"),
+        (f'{{"K": [1{"0" * 400}, 0, 40, 0, 600, 30, 0, 0, 1]}}', "K holds 10{39}; nine finite numbers"),
+        ('{"left": {"fx": NaN, "fy": 600, "cx": 40, "cy": 30}}', r"c\.json: left\.fx is nan; a finite number"),
+        ('{"a": [{"K": [600, 0, NaN, 0, 600, 30, 0, 0, 1]}]}', r"c\.json: a\.0\.K holds nan; nine finite numbers"),
+        ('{"K": {"data": [[600, 0, "x"], [0, 600, 30], [0, 0, 1]]}}', r"c\.json: K holds 'x'; nine finite numbers"),
     ],
 )
 def test_intrinsics_that_cannot_be_used_are_named(content: str, text: str, tmp_path: Path) -> None:
@@ -227,9 +230,34 @@ def test_a_name_that_no_line_can_use_is_refused_before_frames_are_read(name: str
     """Every frame was left out without a word: '0 frames', with exit code 0."""
     (tmp_path / "in").mkdir()
     png(tmp_path / "in" / "depth_0.png", millimetres(0))
-    with pytest.raises(ConfigError, match=rf"--camera: camera name '{name}' cannot be used: 1 to 64 letters, digits"):
+    with pytest.raises(ConfigError, match=rf"--camera: camera name '{name}' cannot be used: 1 to 64 letters \(a to z"):
         import_frames(tmp_path / "in", intrinsics=k, depth_unit=0.001, fps=15, camera=name, out=tmp_path / "to" / "out")
     assert not (tmp_path / "to").exists()
+
+
+def test_frames_that_contradict_the_belt_distance_are_left_out_and_told(
+    tmp_path: Path, k: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were left out without a word, with exit code 0."""
+    (tmp_path / "in").mkdir()
+    for n in range(6):
+        png(tmp_path / "in" / f"depth_{n}.png", np.full((60, 80), 150, np.uint16) if n < 2 else millimetres(n))
+    with pytest.raises(SystemExit) as left:
+        import_frames(
+            tmp_path / "in",
+            intrinsics=k,
+            depth_unit=0.001,
+            fps=15,
+            belt_distance_m=0.46,
+            out=tmp_path / "out",
+            json=True,
+        )
+    assert left.value.code == 1
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert (report["frames"], report["refused"]) == (4, {"depth_scale": 2})
+    assert "frames that cannot be used: 2 depth scale; the first: " in said.err
+    assert [frame.seq for frame in frames_of(tmp_path / "out")] == [2, 3, 4, 5]
 
 
 def test_decimal_metres_with_the_unit_of_millimetres_are_told(tmp_path: Path, k: Path) -> None:

@@ -255,6 +255,23 @@ def test_whole_output_moves_all_or_nothing(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"there", "a"}
 
 
+def test_a_folder_that_is_a_disk_of_its_own_or_the_one_worked_in_is_written_to(
+    tiny_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From beside a disk nothing can be moved onto it, and '.' has no name."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to(tiny_disk)
+    for target, there in ((tiny_disk, tiny_disk), (Path("link"), tiny_disk), (Path(), tmp_path)):
+        with whole_output(target) as partial:
+            partial.mkdir()
+            (partial / "made").write_text("whole")
+        assert (there / "made").read_text() == "whole"
+        (there / "made").unlink()
+        with pytest.raises(InputError, match=re.escape(f"{target}/x is odd")), whole_output(target) as partial:
+            raise InputError(f"{partial}/x is odd")
+    assert ([*tiny_disk.iterdir()], [*tmp_path.iterdir()]) == ([], [tmp_path / "link"])
+
+
 @pytest.mark.parametrize(
     ("number", "code"),
     [

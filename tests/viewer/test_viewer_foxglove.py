@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 import struct
 import time
 from collections import defaultdict
@@ -175,6 +176,12 @@ def test_what_cannot_be_shown_is_refused_and_nothing_is_left(filmed: tuple[Path,
     with pytest.raises(InputError, match="--format foxglove"):
         convert(recording, tmp_path / "frames.mcap", run="monday")
     assert list(tmp_path.iterdir()) == []
+    blank = shutil.copytree(recording, tmp_path / "blank")
+    for image in blank.glob("*/depth/*"):
+        image.write_bytes(b"")
+    with pytest.raises(InputError, match=r"blank.*: no frame can be read; the first: frame 0"):
+        convert(blank, tmp_path / "frames.mcap", format="foxglove")
+    assert list(tmp_path.iterdir()) == [blank], "it was a file without pictures, with exit code 0"
 
 
 @pytest.mark.parametrize("address", ["here/there", "127.0.0.1:notaport", "127.0.0.1:70000", "127.0.0.1:\u00b2", "8765"])

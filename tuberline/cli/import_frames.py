@@ -13,6 +13,7 @@ from conveyor.errors import InputError
 from tuberline.cli.numbers import BeltDistance, within
 
 if TYPE_CHECKING:
+    from conveyor.formats.conversion import Converted
     from conveyor.formats.plain.reader import PlainFrames
 
 
@@ -31,6 +32,8 @@ def import_frames(
     json: bool = False,
 ) -> None:
     """Make a recording of depth frames that any camera's software saved: PNG, TIFF, NPY, NPZ or MAT.
+
+    Frames that contradict the belt distance are left out and told, and the exit code is 1 then.
 
     Parameters
     ----------
@@ -58,6 +61,7 @@ def import_frames(
     """
     from conveyor.files import whole_output
     from conveyor.formats.beside import check_new
+    from conveyor.formats.cameras import told_unreadable
     from conveyor.formats.conversion import write_recording
     from conveyor.formats.plain.reader import PlainFrames
     from conveyor.formats.prepared import PreparedSource
@@ -90,17 +94,21 @@ def import_frames(
             form=format,
             on_frame=on_frame,
         )
-    _tell(found, done.frames, target, json=json)
+    _tell(found, done, target, json=json)
+    if done.refused:
+        sys.stderr.write(f"tuberline: {told_unreadable(done.refused, done.texts[0])}\n")
+        raise SystemExit(1)
 
 
-def _tell(found: PlainFrames, frames: int, target: Path, *, json: bool) -> None:
+def _tell(found: PlainFrames, done: Converted, target: Path, *, json: bool) -> None:
     from conveyor.formats.inspection import described_doubtfully
 
     d = found.description
     notes = described_doubtfully(d)
     report = {
         "out": str(target),
-        "frames": frames,
+        "frames": done.frames,
+        "refused": done.refused,
         "missing": found.missing,
         "width": d.intrinsics.width,
         "height": d.intrinsics.height,
@@ -112,7 +120,7 @@ def _tell(found: PlainFrames, frames: int, target: Path, *, json: bool) -> None:
         return
     gaps = f", {found.missing} missing between them" if found.missing else ""
     unit = f"in units of {d.depth_scale_m * 1000:g} mm"
-    frames_of = "1 frame" if frames == 1 else f"{frames} frames"
+    frames_of = "1 frame" if done.frames == 1 else f"{done.frames} frames"
     sys.stdout.write(f"{frames_of} of {d.intrinsics.width}x{d.intrinsics.height} {unit}{gaps} in {target}\n")
     for note in notes:
         sys.stderr.write(f"warning: {note}\n")

@@ -135,29 +135,25 @@ def simulate(
         sys.stdout.write(f"{out}: {counted} tubers, {weight_kg:.2f} kg, {truth['distractors']} distractors\n")
 
 
-def _replaced(out: Path, *, force: bool) -> Path | None:
-    """The recording that the new one takes the place of, on demand alone; it stays until the new one is whole."""
-    from conveyor.formats.beside import check_new
+def _replaced(out: Path, *, force: bool) -> list[Path]:
+    """What is there of the recording that the new one takes the place of, on demand alone; it stays until the new one
+    is whole. Of a folder what lies in it: the folder may be a disk of its own, or the one in which one works.
+    """
+    from conveyor.formats.beside import check_new, positions_beside
 
-    if out.is_dir() and not any(out.iterdir()):
-        return None
+    former = sorted(out.iterdir()) if out.is_dir() else [out] if out.exists() else []
     is_file = out.suffix == ".mcap" and out.is_file()
     is_recording = is_file or (out / "truth.json").is_file() or any(out.glob("*/camera.json"))
-    if out.exists() and not is_recording:
+    if former and not is_recording:
         raise InputError(f"{out} exists and is no recording: it is not overwritten; choose another name")
-    if not force:
+    if not force and (former or not out.is_dir()):
         check_new(out, fix="choose another name or add --force")
-    if not out.exists():
-        return out if out.suffix == ".mcap" else None
-    return out
+    if out.suffix == ".mcap" and not out.is_dir() and (positions := positions_beside(out)).is_file():
+        former.append(positions)
+    return former
 
 
-def _remove(path: Path | None) -> None:
-    """No mix of two recordings: the former one goes, with its positions, when the new one is about to come."""
-    from conveyor.formats.beside import positions_beside
-
-    if path is not None and path.is_dir():
-        shutil.rmtree(path)
-    elif path is not None:
-        path.unlink(missing_ok=True)
-        positions_beside(path).unlink(missing_ok=True)
+def _remove(former: list[Path]) -> None:
+    """No mix of two recordings: the former one goes when the new one is about to come."""
+    for path in former:
+        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)

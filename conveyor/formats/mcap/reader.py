@@ -37,6 +37,8 @@ DAMAGE = (
 """What the MCAP library raises on files that are cut or damaged."""
 MCAP0_MAGIC = b"\x89MCAP0\r\n"
 USUAL_FPS, MOST_FPS = 30.0, 1000.0
+FIRST_RECORD = struct.Struct("<BQ")
+"""What each record begins with: its kind, and how many bytes follow."""
 WRITTEN_WITHIN_S = 10.0
 """A recorder brings what it has to the disk every second (`McapFrameWriter`)."""
 
@@ -223,18 +225,31 @@ def rate_of(times_ns: list[int]) -> float:
 def open_mcap(path: Path) -> Iterator[Any]:
     """The library's reader of the file at `path`, its errors as ours."""
     try:
+        if why := holds_nothing(path):
+            raise InputError(f"{path} {why}")
         with path.open("rb") as file:
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                what = "does not begin with MCAP's magic bytes" if path.stat().st_size else "is empty"
-                raise InputError(f"{path} is no MCAP file: it {what}")
-            file.seek(0)
             yield SeekingReader(file, validate_crcs=True, record_size_limit=1 << 30)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     except DAMAGE as error:
-        why = ": ".join(filter(None, (type(error).__name__, str(error))))
-        damage = f"{path} is cut or damaged ({why}). {recover_it(path)}"
+        damage = f"{path} is cut or damaged ({damage_told(error)}). {recover_it(path)}"
         raise InputError(being_written(path) or damage) from error
+
+
+def holds_nothing(path: Path) -> str:
+    """Why not one record can be read of a file: it is none of MCAP, or cut in its first one; empty where one can.
+
+    Raises:
+        OSError: it cannot be read at all.
+    """
+    with path.open("rb") as file:
+        magic, size = file.read(len(MCAP0_MAGIC)), path.stat().st_size
+        if magic != MCAP0_MAGIC:
+            return "is no MCAP file: it " + ("does not begin with MCAP's magic bytes" if size else "is empty")
+        head = file.read(FIRST_RECORD.size)
+    if len(head) == FIRST_RECORD.size and len(magic + head) + FIRST_RECORD.unpack(head)[1] <= size:
+        return ""
+    return f"is an MCAP file of {size} bytes that is cut within its first record: there is nothing in it to save"
 
 
 def being_written(path: Path) -> str:
@@ -250,6 +265,11 @@ def being_written(path: Path) -> str:
         f"{path} is being written: {path.stat().st_size / 1e6:.1f} MB, the last of them {ago_s:.0f} s ago, and no end "
         f"yet. Look again when its recorder has stopped; where it was killed, {recover_it(path)}"
     )
+
+
+def damage_told(error: Exception) -> str:
+    """What a library said of a damaged file, with the fault's name, which is often all it says."""
+    return ": ".join(filter(None, (type(error).__name__, str(error))))
 
 
 def recover_it(path: Path) -> str:

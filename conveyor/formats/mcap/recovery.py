@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import InvalidMagic
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
@@ -18,7 +17,7 @@ from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.files import cause, whole_output
 from conveyor.formats.beside import check_new, positions_beside
-from conveyor.formats.mcap.reader import DAMAGE
+from conveyor.formats.mcap.reader import DAMAGE, damage_told, holds_nothing
 from conveyor.formats.mcap.writer import CHUNK_BYTES
 
 
@@ -47,21 +46,26 @@ def recover(path: Path, out: Path, *, on_bytes: Callable[[int, int], None] = lam
         on_bytes: called with how much of the file is read, and its size.
 
     Raises:
-        InputError: `path` is no MCAP file, `out` exists or cannot be written.
+        InputError: `path` is no MCAP file, nothing of it can be saved, `out` exists or cannot be written.
     """
     check_new(out, fix="recover to another name with --out")
     try:
+        if why := holds_nothing(path):
+            raise InputError(f"{path} {why}")
         with path.open("rb") as source, whole_output(out) as partial:
             with partial.open("xb") as target:
                 result = _copy(source, target, size=path.stat().st_size, on_bytes=on_bytes)
+                if not (result.whole or result.messages):
+                    raise InputError(
+                        f"{path} holds no whole message: {result.lost_bytes} bytes could not be read "
+                        f"({result.damage}), and there is nothing to save"
+                    )
                 target.flush()
                 os.fsync(target.fileno())
             if (positions := positions_beside(path)).is_file():
                 shutil.copyfile(positions, positions_beside(partial))
-    except (InvalidMagic, _Nothing) as error:
-        raise InputError(
-            f"{path} is no MCAP file: it does not begin with MCAP's magic bytes and a whole record"
-        ) from error
+    except _Nothing as error:
+        raise InputError(f"{path}: its first record is damaged ({error}), and there is nothing to save") from error
     except OSError as error:
         raise InputError(f"{path} cannot be read: {cause(error)}") from error
     return result
@@ -88,15 +92,10 @@ class _Records:
                 parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
             except StopIteration:
                 return
-            except InvalidMagic as error:
-                if self.good_bytes == 0:
-                    raise
-                self.damage = f"{type(error).__name__}: {error}"
-                return
             except (*DAMAGE, OSError) as error:  # a disk that cannot read on is damage, too
+                self.damage = damage_told(error)
                 if self.good_bytes == 0:
-                    raise _Nothing from error
-                self.damage = f"{type(error).__name__}: {error}"
+                    raise _Nothing(self.damage) from error
                 return
             self.good_bytes = self._stream.tell()
             self.closed = isinstance(record, Footer)

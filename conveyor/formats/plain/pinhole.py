@@ -117,12 +117,29 @@ def _cameras(value: Any, name: str, depth: int) -> Iterator[tuple[str, Pinhole]]
             yield from _cameras(inner, f"{name}.{at}" if depth else str(at), depth + 1)
 
 
-def _no_number(value: Any) -> str:
-    """Which of a camera's four numbers is none; empty where that is not what is wrong."""
-    for key, given in value.items() if isinstance(value, dict) else ():
-        if key.lower() in ("fx", "fy", "cx", "cy", "ppx", "ppy") and _number(given) is None:
-            return f"{key} is {given!r:.40}; a finite number of pixels is needed"
+def _no_number(value: Any, name: str = "", depth: int = 0) -> str:
+    """Which of a camera's numbers is none, by the names that lead to it; empty where that is not what is wrong."""
+    if depth > LOOK_DEPTH:
+        return ""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, given in inner:
+        where = f"{name}.{key}" if name else str(key)
+        small = str(key).lower()
+        if small in ("fx", "fy", "cx", "cy", "ppx", "ppy") and _number(given) is None:
+            return f"{where} is {given!r:.40}; a finite number of pixels is needed"
+        if small in MATRICES and (odd := _not_finite(given)):
+            return f"{where} holds {', '.join(odd)}; nine finite numbers of pixels are needed"
+        if fault := _no_number(given, where, depth + 1):
+            return fault
     return ""
+
+
+def _not_finite(value: Any) -> list[str]:
+    """What is no finite number in a matrix's nine, as it is written."""
+    value = value.get("data") if isinstance(value, dict) else value
+    rows = value if isinstance(value, list) else []
+    flat = [one for row in rows for one in (row if isinstance(row, list) else [row])]
+    return [f"{one!r:.40}" for one in flat if _number(one) is None] if len(flat) == 9 else []
 
 
 def _of_mapping(data: Mapping[str, Any]) -> Pinhole | None:

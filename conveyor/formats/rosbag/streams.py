@@ -89,7 +89,7 @@ def camera_name(topic: str) -> str:
             before.append(part)
     else:
         before = before[:-1]
-    return re.sub(r"[^A-Za-z0-9._-]", "_", "-".join(before)) or "depth"
+    return re.sub(r"[^A-Za-z0-9._-]", "_", "-".join(before)).lstrip("._-")[:64] or "depth"
 
 
 def nearest(topic: str, others: list[str]) -> str | None:
