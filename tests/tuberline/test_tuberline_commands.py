@@ -126,6 +126,11 @@ def test_help_shows_every_word_and_no_empty_option(words: tuple[str, ...]) -> No
             ('"many" is no whole number; write it like 12.', "--help"),
         ),
         (("raplay",), ('Did you mean "replay"?', "What is allowed: tuberline --help")),
+        (("score", "run", "truth.json"), ("tuberline score needs --truth. 'truth.json' was not expected.", "--help")),
+        (("score", "run", "--truht", "truth.json"), ("Did you mean --truth instead of --truht?",)),
+        (("score", "run", "--truth"), ("--truth requires an argument",)),
+        (("info",), ("tuberline info needs RECORDING.", "What is allowed: tuberline info --help")),
+        (("info", "rec", "--json", "3"), ("tuberline info: '3' was not expected.",)),
     ],
 )
 def test_a_mistake_is_told_with_the_right_words(words: tuple[str, ...], told: tuple[str, ...]) -> None:
