@@ -56,7 +56,7 @@ class TrackRefusal(Reason):
     FRAGMENT = "fragment", "it was seen in too small a share of the frames that had its place in view"
     SMALL = "small", "its area is too small"
     TINY = "tiny", "its volume is too small"
-    FLAT = "flat", "it is too low"
+    FLAT = "flat", "it is too low, or too low for its width"
     OUTSIDE = "outside", "its centre crosses the row outside the image; another camera counts it"
     DUPLICATE = "duplicate", "a counted track lies at the same place"
     THIN = "thin", "it is too narrow: haulm"

@@ -10,20 +10,31 @@ from typing import Any
 
 from conveyor.errors import InputError
 from conveyor.messages import CamerasApart
-from conveyor.reasons import TrackRefusal
+from conveyor.reasons import FrameDrop, TrackRefusal
 
-DISCARDED = "discarded_"
-"""Begins the names of what a sheet of tracks holds of those that do not count; the reason follows."""
+DISCARDED, DROPPED = "discarded_", "dropped_"
+"""What begins the names of tracks that do not count on a camera's sheet, and of frames left out; the reason follows."""
+_MEANINGS = {str(reason): reason.meaning for reason in (*TrackRefusal, *FrameDrop)}
 
 
 def lost_frames(cameras: Mapping[str, Any], *, logs: Path) -> list[str]:
-    """In words, which cameras of a summary had frames that are missing or could not be read."""
-    return [
-        f"camera '{name}': {gaps} of {sheet['frames']['published']} frames are missing or cannot be read; what can be "
-        f"said of each stands in {logs / f'camera-{name}.log'}"
-        for name, sheet in cameras.items()
-        if (gaps := sheet["frames"].get("gaps", 0))
-    ]
+    """In words, which cameras of a summary had frames that are missing, could not be read, or showed no belt."""
+    told = []
+    for name, sheet in cameras.items():
+        frames = sheet["frames"]
+        if gaps := frames.get("gaps", 0):
+            told.append(
+                f"camera '{name}': {gaps} of {frames['published']} frames are missing or cannot be read; what can be "
+                f"said of each stands in {logs / f'camera-{name}.log'}"
+            )
+        dropped = {key.removeprefix(DROPPED): n for key, n in frames.items() if key.startswith(DROPPED) and n}
+        if dropped:
+            reasons = "; ".join(f"{n} {reason} ({_MEANINGS.get(reason, '')})" for reason, n in sorted(dropped.items()))
+            told.append(
+                f"camera '{name}': {sum(dropped.values())} of {frames['published']} frames were left out: {reasons}; "
+                f"more stands in {logs / f'segmenter-{name}.log'}"
+            )
+    return told
 
 
 def none_counted(summary: Mapping[str, Any]) -> list[str]:
@@ -43,8 +54,7 @@ def not_counted_told(camera: str, discarded: Mapping[str, int], *, frames: int, 
     """In words, why no track of a camera counts; nothing where it had none. `discarded`: how many, by reason."""
     if not discarded:
         return []
-    meanings = {str(reason): reason.meaning for reason in TrackRefusal}
-    reasons = "; ".join(f"{n} {reason} ({meanings.get(reason, '')})" for reason, n in sorted(discarded.items()))
+    reasons = "; ".join(f"{n} {reason} ({_MEANINGS.get(reason, '')})" for reason, n in sorted(discarded.items()))
     return [
         f"camera '{camera}': none of {sum(discarded.values())} tracks counts, in {frames} frames over "
         f"{travelled_m:.2f} m of belt: {reasons}"

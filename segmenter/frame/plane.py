@@ -294,4 +294,6 @@ def _disagreement(camera: str, given_m: float, seen_m: float, scale_m: float) ->
     if 6 < ratio < 15 or 1 / 15 < ratio < 1 / 6:
         right_m = scale_m / 10 if ratio > 1 else scale_m * 10
         return f"{text}: a factor of about ten, so the depth scale of {scale_m:g} m is wrong (try {right_m:g})"
-    return f"{text}: measure the belt again (`tuberline calibrate belt`) or correct belt_distance_m / belt_from_camera"
+    fix = "measure the belt again (`tuberline calibrate belt`) or correct belt_distance_m / belt_from_camera"
+    web = '; or it is the ground under a web of rods: say surface = "rods" in [belt] then'
+    return f"{text}: {fix}{web if seen_m > given_m else ''}"

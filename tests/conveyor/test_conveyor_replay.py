@@ -85,6 +85,15 @@ def test_frames_that_were_lost_are_told_with_their_number(tmp_path: Path) -> Non
     assert str(tmp_path / "camera-left.log") in told
 
 
+def test_frames_that_were_left_out_are_told_with_their_number_and_why(tmp_path: Path) -> None:
+    """Over a web that its line had not named 61 of 64 frames showed no belt: 0 tubers, and only the log said why."""
+    left = {"published": 64, "processed": 1, "gaps": 0, "dropped_no_belt": 61, "dropped_blind": 2, "dropped_frozen": 0}
+    (told,) = lost_frames({"left": {"frames": left}, "right": {"frames": {"published": 3, "gaps": 0}}}, logs=tmp_path)
+    assert told.startswith("camera 'left': 63 of 64 frames were left out: 2 blind (too little of the image has depth")
+    assert "; 61 no_belt (no belt is seen" in told
+    assert str(tmp_path / "segmenter-left.log") in told
+
+
 def test_why_nothing_counts_is_told() -> None:
     """Of two frames, no tuber crosses between them: 0 tubers and 100 % of the belt seen, and no word."""
     tracks = {"opened": 5, "counted": 0, "open": 0, "discarded_not_crossed": 4, "discarded_flat": 1}

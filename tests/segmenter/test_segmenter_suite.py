@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,20 @@ def test_a_small_tuber_wedged_between_larger_ones_is_no_fragment_of_theirs(
     """Of 800 tubers on belts of `easy` three were refused, seen at 15 frames a second."""
     seen = track(frames=frames, covered=covered, area_mm2=area_mm2, contact=contact, volume_ml=volume_ml)
     assert shape_refusal(seen, width_m=width_mm / 1e3, in_view=in_view, settings=CountSettings()) == reason
+
+
+@pytest.mark.parametrize(
+    ("width_mm", "reason"),
+    [
+        (151, "flat"),  # belt that rises at its side, 24 mm high: it counted as a tuber of 720 g
+        (70, "flat"),  # another, as light as a tuber
+        (46, None),  # the flattest of 3217 tubers was 0.47 times as high as wide
+    ],
+)
+def test_belt_that_rises_at_its_sides_is_no_tuber(width_mm: float, reason: str | None) -> None:
+    seen = track(frames=20, covered=0, area_mm2=4000, contact=0.0, volume_ml=60)
+    seen.hits = [replace(hit, height_m=0.0235) for hit in seen.hits]
+    assert shape_refusal(seen, width_m=width_mm / 1e3, in_view=20, settings=CountSettings()) == reason
 
 
 def test_belt_relief_beside_a_tuber_is_no_tuber_though_it_has_a_part_of_its_flank() -> None:

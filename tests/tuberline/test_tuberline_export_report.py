@@ -97,7 +97,7 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
     assert what_went_wrong(replace(facts, loads=(dark,), runs=()))[0] == "Load 8 box: no belt was seen."
     told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, *others)))
     assert told[0] == (
-        "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames, mean of the cameras). "
+        "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames used, mean of the cameras). "
         "Its weight makes up for that."
     )
     assert told[1].startswith("Load 7 trailer: its ticket says ")

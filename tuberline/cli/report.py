@@ -17,9 +17,9 @@ from tuberline.cli.class_table import class_table, foreign_line
 from tuberline.cli.live import histogram_lines
 
 REASONS = {
-    "before_first_frame": "before the first frame",
-    "between_frames": "between frames",
-    "after_last_frame": "after the last frame",
+    "before_first_frame": "before the first frame used",
+    "between_frames": "between frames used",
+    "after_last_frame": "after the last frame used",
     "camera_never_looked": "under a camera that never looked",
 }
 """Why belt was not seen (`aggregator.core.reasons.Unseen`), in words."""

@@ -22,9 +22,9 @@ WORTH_TELLING = 0.005
 FEW = 0.02
 """Of tubers, frames or weight: a smaller share is not told."""
 REASONS = {
-    "before_first_frame": "before the first frame",
-    "between_frames": "between two frames",
-    "after_last_frame": "after the last frame",
+    "before_first_frame": "before the first frame used",
+    "between_frames": "between two frames used",
+    "after_last_frame": "after the last frame used",
     "camera_never_looked": "under a camera that never looked",
 }
 
