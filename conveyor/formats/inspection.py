@@ -208,8 +208,10 @@ def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDes
         return [fault]
     masked_only = all(float(np.mean(frame.depth > 0)) < 0.25 for frame in frames)
     if not masked_only and abs(belt_seen_m - given) > BELT_DIFFERS_M:
+        web = "; or what is seen is the ground under a web of rods" if belt_seen_m > given else ""
         return [
-            f"the belt seems {belt_seen_m:.3f} m away but {given:.3f} m are given: 10 mm cost about 10 % of each weight"
+            f"the belt seems {belt_seen_m:.3f} m away but {given:.3f} m are given: 10 mm cost about 10 % of each "
+            f"weight{web}"
         ]
     return []
 

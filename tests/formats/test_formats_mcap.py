@@ -292,7 +292,12 @@ def test_info_tells_sizes_rates_gaps_and_the_belt(small_recording: Path, capsys:
 def test_info_warns_of_a_belt_distance_that_is_not_seen(small_recording: Path) -> None:
     path = small_recording / "front" / "camera.json"
     camera = json.loads(path.read_text())
-    for given, text in ((0.49, "the belt seems 0.46"), (4.6, "off by 10"), (None, "not given")):
+    for given, text in (
+        (0.49, "10 mm cost about 10 % of each weight"),
+        (0.40, "what is seen is the ground under a web of rods"),
+        (4.6, "off by 10"),
+        (None, "not given"),
+    ):
         path.write_text(json.dumps(camera | {"belt_distance_m": given}))
         warnings = inspect_recording(small_recording).cameras[0].warnings
         assert any(text in warning for warning in warnings), (given, warnings)
