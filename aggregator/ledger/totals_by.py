@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from aggregator.calibration.correction import Prior
@@ -130,7 +131,10 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = (), day: str
         files = dict.fromkeys(ledger_file(path).resolve() for path in paths)
         ledgers = {file: ReadLoads(stack.enter_context(reading(file))) for file in files}
         each = list(zip(ledgers.items(), line_tickets(list(ledgers.values()), tickets), strict=True))
-        loads = {file: labelled(ledger, known.tickets) for (file, ledger), known in each}
+        loads = _told_apart(
+            {file: labelled(ledger, known.tickets) for (file, ledger), known in each},
+            lines={file: {name: run.line for name, run in ledger.runs.items()} for file, ledger in ledgers.items()},
+        )
         of_day = [load for found in loads.values() for load in found if load.labels["day"] == day]
 
         def asked(ticket: Ticket) -> bool:
@@ -150,6 +154,30 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = (), day: str
         return AllLoads(loads, refused, list(doubts), {file: ledger.stated for file, ledger in ledgers.items()})
 
 
+def _told_apart(
+    loads: Mapping[Path, list[Labelled]], *, lines: Mapping[Path, Mapping[str, str]]
+) -> dict[Path, list[Labelled]]:
+    """The same loads; each of those that are called alike, in several ledgers, with its run: of two lines that began
+    in the same second with its line, too.
+
+    `lines`: that of each run, by ledger.
+    """
+
+    def names(load: Labelled, line: str) -> tuple[str, str, str]:
+        label = load.labels["load"]
+        return label, f"{label} ({load.run})", f"{label} ({line}, {load.run})"
+
+    told = {file: [names(load, lines[file][load.run]) for load in of_ledger] for file, of_ledger in loads.items()}
+    often = Counter(name for of_ledger in told.values() for each in of_ledger for name in each)
+    return {
+        file: [
+            replace(load, labels={**load.labels, "load": next((name for name in each if often[name] == 1), each[-1])})
+            for load, each in zip(of_ledger, told[file], strict=True)
+        ]
+        for file, of_ledger in loads.items()
+    }
+
+
 def _is_of(ticket: Ticket, loads: Sequence[Labelled]) -> bool:
     """Whether a ticket is of one of these loads, or of a run in which one of them has belt."""
     if ticket.kind == "load" and ticket.part.startswith("load "):
@@ -158,7 +186,11 @@ def _is_of(ticket: Ticket, loads: Sequence[Labelled]) -> bool:
 
 
 def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
-    """The totals of these loads by one of `BY`, in the order in which the labels come."""
+    """The totals of these loads by one of `BY`, in the order in which the labels come; by load each is one by itself,
+    also where two are called alike.
+    """
+    if by == "load":
+        return [total_of(load.labels[by], [load]) for load in loads]
     groups: dict[str, list[Labelled]] = {}
     for load in loads:
         label = load.labels[by]

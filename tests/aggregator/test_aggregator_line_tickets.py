@@ -11,14 +11,17 @@ import pytest
 from aggregator.calibration.tickets import Ticket, read_tickets, write_tickets
 from aggregator.calibration.together import OneLoad, together
 from aggregator.core.totals import LoadTotals
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.line_tickets import tickets_by_ledger
 from aggregator.ledger.load_totals import ticket_of_load
 from aggregator.ledger.totals_by import Total, all_loads, totals_by
 from aggregator.ledger.writer import Ledger
 from conveyor.config import LINE_NAME, REPLAY_NAME
+from conveyor.messages import LoadOrder
 from tests.aggregator.belt_story import tell
 from tests.aggregator.loaded_story import Loads
 from tests.aggregator.test_aggregator_load_totals import load_of
+from tuberline.export.report.gather import day_facts
 from tuberline.export.tubers import about, loads_table
 
 READS = 0.92
@@ -32,7 +35,7 @@ def write_load(folder: Path, *, line: str, seed: int, weighed: bool) -> Path:
         pass
 
     Named.line = line
-    folder.mkdir()
+    folder.mkdir(parents=True)
     with Ledger(folder / "ledger.db") as ledger:
         it = Named(ledger, tell(seed, run=folder.name, n=60, cameras=2, length_m=5.0, noise_mm=0.0))
         for n in it.commits():
@@ -136,3 +139,27 @@ def test_intervals_of_sums_over_two_lines_hold(rng: np.random.Generator) -> None
         widths.append((day.high_g - day.low_g) / 2 / day.estimated_g)
     assert 0.9 <= inside / days <= 1.0
     assert 0.07 < float(np.median(widths)) < 0.12, "half of it is calibrated, half of it is not"
+
+
+def test_loads_of_several_ledgers_that_are_called_alike_are_told_apart(tmp_path: Path) -> None:
+    """Every ledger has a load 1: those of three days were one row of 3 loads, and their weights one sum."""
+    folders = [write_load(tmp_path / day, line="north", seed=seed, weighed=False) for seed, day in enumerate("abc")]
+    apart = [by_load(folder)[folder.name] for folder in folders]
+    for folder in folders[:2]:
+        order_at_rest(folder / "ledger.db", LoadOrder("n", "note", by="me", load="1", fields={"name": "trailer 7"}))
+    told = {total.label: total for total in totals_by(folders, "load")[0] if total.label[0] == "1"}
+    assert list(told) == ["1 trailer 7 (a)", "1 trailer 7 (b)", "1 c"]
+    for total, alone in zip(told.values(), apart, strict=True):
+        assert (total.loads, total.sums.tubers, total.raw_g) == (1, alone.sums.tubers, alone.raw_g)
+    rows = loads_table(folders).rows
+    assert [row[:2] for row in rows if row[0] in told] == [(name, one.sums.tubers) for name, one in told.items()]
+    assert {load.label for load in day_facts(folders).loads} >= set(told)
+
+
+def test_loads_of_two_lines_that_began_in_the_same_second_are_told_apart(tmp_path: Path) -> None:
+    run = "20261129T093155Z"
+    folders = [
+        write_load(tmp_path / line / run, line=line, seed=seed, weighed=False) for seed, line in enumerate(("n", "s"))
+    ]
+    told = [total.label for total in totals_by(folders, "load")[0] if total.label[0] == "1"]
+    assert told == [f"1 {run} ({line}, {run})" for line in ("n", "s")]
