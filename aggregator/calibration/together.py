@@ -46,6 +46,11 @@ class OneLoad:
         return self.whole * there_g / raw_g if raw_g > 0 else self.whole
 
     @property
+    def saw(self) -> bool:
+        """Some of its belt was looked at, or a tuber counted."""
+        return self.totals.sums.count > 0 or bool(self.coverage)
+
+    @property
     def reach_g(self) -> float:
         """90 % half-width, above alone, of what may lie on belt of which it is not known how far it moved."""
         there_g, _, high_g = self.estimated

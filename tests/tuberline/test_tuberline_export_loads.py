@@ -8,9 +8,15 @@ from pathlib import Path
 import pytest
 
 from aggregator.ledger.writer import Ledger
+from tests.aggregator.belt_story import tell
 from tests.aggregator.loaded_story import Loads, story
+from tests.aggregator.virtual_line import undisturbed
 from tuberline.api.runs import read_totals
 from tuberline.cli.export import export
+from tuberline.cli.ledger_totals import totals
+from tuberline.export.report.gather import day_facts
+from tuberline.export.report.page import Figures, Grid
+from tuberline.export.report.sections import report_of
 from tuberline.export.tubers import about
 
 
@@ -37,8 +43,26 @@ def test_as_weighed_is_of_what_was_seen_and_raw_is_made_up_for_the_rest(tmp_path
     assert float(whole["coverage"]) < 0.99
     assert float(whole["as_weighed_kg"]) == pytest.approx(weighed_kg)
     assert float(whole["raw_kg"]) > 1.01 * weighed_kg
-    totals = [total for total in read_totals(tmp_path, by="load") if total.label != "dark"]
-    for row, total in zip([*loads, whole], totals, strict=True):
+    found = [total for total in read_totals(tmp_path, by="load") if total.label != "dark"]
+    for row, total in zip([*loads, whole], found, strict=True):
         assert float(row["as_weighed_kg"]) == pytest.approx(total.sums.as_weighed_g / 1000)
         assert float(row["raw_kg"]) == pytest.approx(total.raw_g / 1000)
         assert float(row["weight_kg"]) == pytest.approx(float(row["raw_kg"])), "nothing is calibrated"
+
+
+def test_what_was_not_seen_weighs_nothing_that_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`ledger totals` and the report told it as 0.00 kg, 0.00 to 0.00, and exports and `load show` as no weight."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        ledger.open_run("dark", line="story", cameras=("left",), version="1", started_ns=1)
+    with Ledger(tmp_path / "bare" / "ledger.db") as ledger:
+        undisturbed(ledger, tell(6, n=0, cameras=1))
+    totals(tmp_path, tmp_path / "bare")
+    told = capsys.readouterr().out
+    rows = [line.split()[1:] for line in told.splitlines() if " kg" not in line and line[:1].isalpha()]
+    assert rows[0] == ["1", "0", "-", "-", "-", "-"]
+    assert rows[1][:4] == ["1", "0", "0.00", "0.00"], told
+    report = report_of(day_facts([tmp_path]), map_png=None, map_note="")
+    figures = next(block for block in report.blocks if isinstance(block, Figures))
+    assert figures.items[0] == ("Potatoes", "–", "no belt was seen")
+    grid = next(block for block in report.blocks if isinstance(block, Grid))
+    assert [row[5:9] for row in grid.rows] == [("–",) * 4] * 2

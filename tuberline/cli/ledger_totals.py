@@ -82,8 +82,9 @@ def print_totals(found: list[Total], remarks: list[str], by: str) -> None:
             Text(total.label),
             str(total.loads),
             str(sums.tubers),
-            f"{total.raw_g / 1000:.2f}",
-            weight_told(sums.estimated_g, sums.low_g, sums.high_g),
+            # No weight where no belt was seen, which is not one of 0 kg.
+            f"{total.raw_g / 1000:.2f}" if sums.saw else "-",
+            weight_told(sums.estimated_g, sums.low_g, sums.high_g) if sums.saw else "-",
             "-" if sums.coverage is None else f"{100 * sums.coverage:.1f} %",
             scales,
         )

@@ -106,7 +106,7 @@ def print_loads(loads: list[dict[str, Any]], *, unit: str = "kg") -> None:
 
 def _weight(load: dict[str, Any], unit: str) -> str:
     """No weight where no belt was seen, which is not one of 0 kg."""
-    if not load["count"] and load["coverage"] is None:
+    if not load["count"] and not load["coverage"]:
         return "-"
     return weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"], unit=unit)
 

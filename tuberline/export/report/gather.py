@@ -59,6 +59,7 @@ class LoadFacts:
     low_kg: float
     high_kg: float
     coverage: float | None
+    saw: bool
     unseen_m: dict[str, float]
     ticket_kg: float | None
     classes: tuple[ClassTotal, ...]
@@ -166,6 +167,7 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
         low_kg=low_kg,
         high_kg=high_kg,
         coverage=one.coverage,
+        saw=one.saw,
         unseen_m=dict(found.unseen_m),
         ticket_kg=None if found.net_g is None else found.net_g / 1000,
         classes=class_totals(one.totals, contract),

@@ -50,7 +50,9 @@ def _days(days: Sequence[str]) -> str:
 def _figures(facts: DayFacts) -> Figures:
     sums, foreign = facts.total.sums, facts.foreign
     items = [
-        ("Potatoes", kg(sums.estimated_g / 1000), f"90 %: {_between(sums.low_g / 1000, sums.high_g / 1000)}"),
+        ("Potatoes", kg(sums.estimated_g / 1000), f"90 %: {_between(sums.low_g / 1000, sums.high_g / 1000)}")
+        if sums.saw
+        else ("Potatoes", NONE, "no belt was seen"),
         ("Loads", str(facts.total.loads), f"{sums.tubers:,} tubers".replace(",", " ")),
         ("Belt seen", _percent(sums.coverage), _unseen(sums.coverage)),
     ]
@@ -76,9 +78,7 @@ def _loads(facts: DayFacts) -> Grid:
             load.variety or NONE,
             _when(load, day=days.get(load.day, ""), zoned=len(zones) > 1),
             str(load.tubers),
-            kg(load.raw_kg, unit=False),
-            kg(load.kg, unit=False),
-            _between(load.low_kg, load.high_kg, unit=False),
+            *_weights(load.raw_kg, load.kg, load.low_kg, load.high_kg, saw=load.saw),
             _percent(load.coverage),
             kg(load.ticket_kg, unit=False) if load.ticket_kg is not None else NONE,
         )
@@ -88,13 +88,7 @@ def _loads(facts: DayFacts) -> Grid:
     total = facts.total
     some = f" ({total.weighed} of {total.loads})" if total.weighed < total.loads else ""
     weighed = f"{kg(total.net_g / 1000, unit=False)}{some}" if total.weighed else NONE
-    rows.append(
-        (
-            "all", "", "", "", str(sums.tubers), kg(facts.total.raw_g / 1000, unit=False),
-            kg(sums.estimated_g / 1000, unit=False), _between(sums.low_g / 1000, sums.high_g / 1000, unit=False),
-            _percent(sums.coverage), weighed,
-        )
-    )  # fmt: skip
+    rows.append(("all", "", "", "", str(sums.tubers), *_of_all(total), _percent(sums.coverage), weighed))
     time = f"Time, {zones[0]}" if len(zones) == 1 else "Time"
     names = ("Load", "Field", "Variety", time, "Tubers", "Raw kg", "kg", "90 % interval", "Seen", "Ticket kg")
     known = "calibrated" if facts.calibrated_by else "the same, for nothing is calibrated"
@@ -127,8 +121,7 @@ def _group(name: str, totals: Sequence[Total]) -> Grid:
             total.label,
             str(total.loads),
             str(total.sums.tubers),
-            kg(total.sums.estimated_g / 1000, unit=False),
-            _between(total.sums.low_g / 1000, total.sums.high_g / 1000, unit=False),
+            *_of_all(total)[1:],
             _percent(total.sums.coverage),
             f"{total.weighed} of {total.loads}",
         )
@@ -224,6 +217,20 @@ def kg(value: float, *, unit: bool = True) -> str:
 
 def _between(low: float, high: float, *, unit: bool = True) -> str:
     return f"{kg(low)} to {kg(high)}" if unit else f"{kg(low, unit=False)}–{kg(high, unit=False)}"
+
+
+def _weights(raw_kg: float, whole_kg: float, low_kg: float, high_kg: float, *, saw: bool) -> tuple[str, str, str]:
+    """Raw and calibrated weight and the interval; none where no belt was seen, which is not one of 0 kg."""
+    if not saw:
+        return NONE, NONE, NONE
+    return kg(raw_kg, unit=False), kg(whole_kg, unit=False), _between(low_kg, high_kg, unit=False)
+
+
+def _of_all(total: Total) -> tuple[str, str, str]:
+    """The same of several loads."""
+    sums = total.sums
+    raw, *whole = (grams / 1000 for grams in (total.raw_g, sums.estimated_g, sums.low_g, sums.high_g))
+    return _weights(raw, *whole, saw=sums.saw)
 
 
 def _percent(share: float | None) -> str:

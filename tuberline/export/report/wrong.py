@@ -63,7 +63,7 @@ def _tickets(facts: DayFacts) -> Iterator[str]:
     for words in facts.doubts:
         yield f"{words[:1].upper()}{words[1:]}."
     for load in facts.loads:
-        if load.ticket_kg is not None and not load.low_kg <= load.ticket_kg <= load.high_kg:
+        if load.ticket_kg is not None and load.saw and not load.low_kg <= load.ticket_kg <= load.high_kg:
             yield _outside(load, load.ticket_kg)
     if not facts.total.weighed:
         yield "No load was on a scale: no ticket says how right these weights are."
