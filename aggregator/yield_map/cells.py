@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -70,8 +71,11 @@ def cells_of(machines: Sequence[Points], *, cell_m: float, shared_percent: float
     parts = [_squares(points) for points in machines]
     centres = np.concatenate([part[0] for part in parts])
     if not len(centres):
+        why_not = sum((Counter(points.reasons()) for points in machines), Counter[str]()).most_common()
+        told = ", ".join(f"{n} {why}" for why, n in why_not)
         raise NoMapError(
-            f"none of {sum(len(p.time_s) for p in machines)} yield points can be used: there is no map",
+            f"none of the {sum(len(p.time_s) for p in machines)} seconds of the track can be used ({told}): there is "
+            "no map",
             why=WhyNoMap.NO_GROUND,
         )
     values = np.concatenate([part[1] for part in parts])

@@ -136,21 +136,16 @@ def believed(track: Track, plane: FieldPlane) -> Path:
     """The path of a track: positions without a fix, without progress in time, or too far away are left out and counted.
 
     A jump is judged against the last believed position and the time since, so that a receiver which really is
-    elsewhere after an outage is believed again.
+    elsewhere after an outage is believed again. Where more positions follow each other elsewhere than were believed
+    before them, those before were the jump: a receiver's first word is often where it was switched off.
 
     Raises:
         InputError: fewer than two positions are left.
     """
     xy_m = plane.to_metres(track.lat_deg, track.lon_deg)
     time_s = track.time_ns / 1e9
-    kept: list[int] = []
-    faults: Counter[str] = Counter()
-    for i in range(len(track)):
-        fault = _fault(track, time_s, xy_m, i, kept[-1] if kept else None)
-        if fault is None:
-            kept.append(i)
-        else:
-            faults[fault] += 1
+    kept, unused = _kept(track, time_s, xy_m)
+    faults = Counter(str(fault) for fault in unused.values())
     if len(kept) < 2:
         told = ", ".join(f"{n} {name}" for name, n in faults.items())
         raise NoMapError(
@@ -158,6 +153,33 @@ def believed(track: Track, plane: FieldPlane) -> Path:
             why=WhyNoMap.NO_FIX,
         )
     return _path(time_s[kept], xy_m[kept], dict(faults))
+
+
+def _kept(
+    track: Track, time_s: NDArray[np.float64], xy_m: NDArray[np.float64]
+) -> tuple[list[int], dict[int, PositionFault]]:
+    """(which positions are believed, in their order; why the others are not)."""
+    kept: list[int] = []
+    elsewhere: list[int] = []  # the newest that follow each other, and not what is believed
+    unused: dict[int, PositionFault] = {}
+    for i in range(len(track)):
+        fault = _fault(track, time_s, xy_m, i, kept[-1] if kept else None)
+        if fault is None:
+            kept.append(i)
+            elsewhere = []
+            continue
+        unused[i] = fault
+        if fault is PositionFault.NO_FIX:
+            continue
+        if elsewhere and _fault(track, time_s, xy_m, i, elsewhere[-1]) is not None:
+            elsewhere = []
+        elsewhere.append(i)
+        if len(elsewhere) > len(kept):
+            unused |= dict.fromkeys(kept, unused[elsewhere[0]])
+            for n in elsewhere:
+                del unused[n]
+            kept, elsewhere = elsewhere, []
+    return kept, unused
 
 
 def _fault(

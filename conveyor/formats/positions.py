@@ -12,10 +12,12 @@ import math
 import os
 import zlib
 from codecs import BOM_UTF8
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -33,6 +35,16 @@ LAST_NS = 2**63 - 1
 """The year 2262: no time is later, and milliseconds taken for seconds are."""
 SEPARATORS = (",", ";", "\t")
 """Of columns: the one that the header has most of."""
+MOSTLY = 0.9
+NOT_TAKEN = {
+    "not NMEA": "in a line that does not begin as NMEA does",
+    "checksum": "with a wrong checksum",
+    "damaged": "in a damaged line",
+    "no time": "without a time of day",
+    "no date yet": "before any date, which RMC or ZDA tell",
+}
+"""Why a position of an NMEA log is not taken, by what `NmeaFixes` counts."""
+_NO_GGA = "no sentence GGA, which tells one, is in it"
 _BEYOND = "beyond the header"
 _TOO_MANY = "it has more values than the header has names; numbers with decimal commas need ; between them, or quotes"
 _LATITUDE = ("lat_deg", "lat", "latitude")
@@ -56,28 +68,42 @@ class Place:
     satellites: int = 0
 
 
-def read_positions(path: Path) -> list[Place]:
-    """All positions of a file, in its order; of positions.csv as it was written, of others by their columns.
+def read_positions(path: Path, *, refused: Counter[str] | None = None) -> list[Place]:
+    """All positions of a file, in its order; of positions.csv as it was written, of others by their columns. A table
+    or a GPX file that goes back in time, the newest first, is read from its end.
+
+    Args:
+        refused: is added to by how many positions of an NMEA log were not taken, by reason.
 
     Raises:
         InputError: not readable, no known format, damaged, or no position in it.
     """
+    refused = Counter() if refused is None else refused
     try:
         data = path.read_bytes().removeprefix(BOM_UTF8)  # which spreadsheets of Windows write
     except OSError as error:
         raise InputError(f"track {told(error, path)}") from error
+    nmea = data.lstrip()[:1] == b"$"
     if path.suffix.lower() == ".gpx" or data.lstrip()[:5] == b"<?xml" or data.lstrip()[:4] == b"<gpx":
-        places = list(_gpx(data, path))
-    elif data.lstrip()[:1] == b"$":
-        places = list(_nmea(data))
+        places = _forward(_gpx(data, path))
+    elif nmea:
+        places = list(_nmea(data, refused))
     else:
         try:
-            places = list(_table(data, path))
+            places = _forward(_table(data, path))
         except csv.Error as error:
             raise InputError(f"track {path} is not CSV text: {error}") from error
     if not places:
-        raise InputError(f"track {path} holds no position")
+        why = ", ".join(f"{n} {reason}" for reason, n in refused.most_common()) or (_NO_GGA if nmea else "")
+        raise InputError(f"track {path} holds no position{f': {why}' if why else ''}")
     return places
+
+
+def _forward(places: Iterable[Place]) -> list[Place]:
+    """The oldest first, where nearly all go back in time; a clock that was set back in between is left as it is."""
+    found = list(places)
+    back = sum(after.time_ns < before.time_ns for before, after in pairwise(found))
+    return found[::-1] if back > MOSTLY * (len(found) - 1) else found
 
 
 class PositionsWriter:
@@ -223,10 +249,14 @@ def _time_ns(text: str, column: str) -> int:
         return round((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp() * 1000) * 1_000_000
 
 
-def _nmea(data: bytes) -> Iterator[Place]:
+def _nmea(data: bytes, refused: Counter[str]) -> Iterator[Place]:
+    """`refused` counts the positions that were not taken; what is refused of other sentences is none."""
     fixes = NmeaFixes()
     for line in data.splitlines():
+        before = fixes.refused.copy()
         fix = fixes.push(line)
+        if b"GGA" in line:
+            refused.update(NOT_TAKEN[why] for why in fixes.refused - before)
         if fix is not None:
             yield Place(fix.fix_ns, fix.lat_deg, fix.lon_deg, fix.quality)
 

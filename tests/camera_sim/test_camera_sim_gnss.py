@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -153,6 +154,28 @@ def test_tracks_of_others_are_read(tmp_path: Path) -> None:
             read_positions(tmp_path / "bad")
     (tmp_path / "nan").write_text("time,lat,lon\n1789380000,nan,nan\n")
     assert [place.quality for place in read_positions(tmp_path / "nan")] == [0], "a logger without a fix yet"
+
+
+def test_a_table_with_the_newest_first_is_read_from_its_end(tmp_path: Path) -> None:
+    """All but one of its positions were left out: time went back. A clock that is set back once turns nothing."""
+    rows = [f"{1789380000 + n},52.7,5.75" for n in range(40)]
+    for name, lines in (("down.csv", rows[::-1]), ("up.csv", rows), ("set.csv", rows[20:] + rows[:20])):
+        (tmp_path / name).write_text("\n".join(["time,lat,lon", *lines]) + "\n")
+        found = [place.time_ns // 10**9 - 1789380000 for place in read_positions(tmp_path / name)]
+        assert found == ([*range(20, 40), *range(20)] if name == "set.csv" else list(range(40))), name
+
+
+def test_positions_of_a_log_that_are_not_taken_are_counted(tmp_path: Path) -> None:
+    """A map said nothing of sentences with wrong checksums, and of a log without dates that it held no position."""
+    log, refused = tmp_path / "log.nmea", Counter[str]()
+    whole = rmc("100000.00", "140926") + gga("100000.00")
+    log.write_bytes(gga("095959.00") + whole + gga("100001.00").replace(b"*", b"1*") + b"$GPGSV,1,1,00*00\r\n")
+    assert len(read_positions(log, refused=refused)) == 1
+    assert refused == {"with a wrong checksum": 1, "before any date, which RMC or ZDA tell": 1}
+    for data, told in ((gga("100000.00"), "no position: 1 before any date"), (whole[:40] + b"\r\n", "no sentence GGA")):
+        log.write_bytes(data)
+        with pytest.raises(InputError, match=told):
+            read_positions(log)
 
 
 def test_a_source_that_is_none_or_not_there_is_told() -> None:

@@ -64,6 +64,26 @@ def test_two_machines_make_one_map(runs: list[Path], tmp_path: Path, capsys: pyt
     assert np.std(picture) > 10, "something is drawn"
 
 
+def test_positions_of_another_year_are_counted(
+    runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were left out without a word."""
+    head, *rows = (runs[0] / "track.csv").read_text().splitlines()
+    at, _, rest = rows[0].partition(",")
+    (tmp_path / "track.csv").write_text("\n".join([head, f"{float(at) + 3e8},{rest}", *rows]) + "\n")
+    map_field([runs[0]], track=[tmp_path / "track.csv"], width_m=3.0, delay_s=17.0, out=tmp_path / "map.png", json=True)
+    assert json.loads(capsys.readouterr().out)["runs"][0]["positions_unused"]["more than a day from any tuber"] == 1
+
+
+def test_a_machine_that_stands_is_told_as_that(runs: list[Path], tmp_path: Path) -> None:
+    """It said that no point can be used, and not why."""
+    head, *rows = (runs[0] / "track.csv").read_text().splitlines()
+    stood = [f"{row.partition(',')[0]},52.7,5.75,4" for row in rows]
+    (tmp_path / "track.csv").write_text("\n".join([head, *stood]) + "\n")
+    with pytest.raises(InputError, match=r"none of the \d+ seconds of the track can be used \(\d+ standing\)"):
+        map_field([runs[0]], track=[tmp_path / "track.csv"], width_m=3.0, delay_s=17.0)
+
+
 def test_the_command_as_typed(runs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "[red]map[2].rrd"
     arguments = ["map", runs[0], "--track", runs[0] / "track.csv", "--width-m", "3", "--out", out]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -45,6 +46,7 @@ SUREST_SD_S = 3.0
 LEAST_SHARPNESS = 1.3
 DAY_S = 86_400.0
 """Positions that lie farther from all tubers in time, and tubers from all positions, say nothing of each other."""
+FAR_IN_TIME = "more than a day from any tuber"
 MOST_DAYS = 400
 """Of one track: what spans more was stamped before its clock was set."""
 
@@ -231,7 +233,7 @@ def _places_of(
             way=way,
             points=points.scaled(factor),
             factor=factor,
-            faults=way.faults,
+            faults={**machine.left_out, **way.faults},
             lost_kg=lost_kg,
             kg=float(machine.crop.kg.sum()),
             tubers=len(machine.crop.kg),
@@ -247,6 +249,7 @@ class _Run:
     settings: Settings
     crop: Crop
     track: Track
+    left_out: dict[str, int]
     shared_percent: float
 
 
@@ -274,18 +277,21 @@ def _read(
         chosen = all_runs(db, file) if name is None else [the_run(db, file, name)]
         rows = (t for each in chosen for t in read_tubers(db, each.run)) if known is None else known
         crop, runs, shared_percent = _crop(db, run, rows, tickets)
+    positions, left_out = _track(track, settings, crop)
     return _Run(
         run=runs_in_words(runs),
         settings=settings,
         crop=crop,
-        track=_track(track, settings, crop),
+        track=positions,
+        left_out=left_out,
         shared_percent=shared_percent,
     )
 
 
-def _track(file: Path, settings: Settings, crop: Crop) -> Track:
-    """The positions of a file, those of the tubers' days where there are some."""
-    places, shift_ns = read_positions(file), round(settings.track_shift_s * 1e9)
+def _track(file: Path, settings: Settings, crop: Crop) -> tuple[Track, dict[str, int]]:
+    """The positions of a file, those of the tubers' days where there are some; how many others it holds, by reason."""
+    left_out: Counter[str] = Counter()
+    places, shift_ns = read_positions(file, refused=left_out), round(settings.track_shift_s * 1e9)
     low_ns, high_ns = (crop.time_s.min() - DAY_S) * 1e9, (crop.time_s.max() + DAY_S) * 1e9
     near = [place for place in places if low_ns <= place.time_ns + shift_ns <= high_ns] or places
     track = Track(
@@ -300,7 +306,9 @@ def _track(file: Path, settings: Settings, crop: Crop) -> Track:
             f"track {file} spans {_clock(first_s)} to {_clock(last_s)}, and so do tubers: a clock was set since: "
             f"give --track FILE with those of one time, {MOST_DAYS} days at most"
         )
-    return track
+    if len(near) < len(places):
+        left_out[FAR_IN_TIME] += len(places) - len(near)
+    return track, dict(left_out)
 
 
 def _crop(

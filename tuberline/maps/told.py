@@ -38,5 +38,5 @@ def print_map(field: FieldMap, *, out: Path) -> None:
                 style="yellow",
             )
         for why, n in share.faults.items():
-            console.print(Text(f"{n} positions of {share.run} not used: {why}"))
+            console.print(Text(f"{n} position{'' if n == 1 else 's'} of {share.run} not used: {why}"))
     console.print(Text(f"map: {out}"), soft_wrap=True)  # a path is neither markup nor cut
