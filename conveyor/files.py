@@ -59,9 +59,11 @@ def whole_output(target: Path) -> Iterator[Path]:
     the block raises, all of it is removed.
 
     Raises:
-        InputError: the place cannot be written, or a file that the block reads cannot be; the text says which, why, and
-            how to fix it. OutputError: of these a disk that is full, read-only, away or reports errors.
+        InputError: the place cannot be written, or is a device or a pipe, or a file that the block reads cannot be; the
+            text says which, why, and how to fix it. OutputError: of these a disk that is full, read-only, away or
+            reports errors.
     """
+    _refuse_device(str(target), target)
     scratch: Path | None = None
     place = target.resolve() if target.is_dir() else target  # '.' and '..' have no name
     try:
@@ -155,11 +157,12 @@ def check_place(target: Path, *, option: str) -> None:
     """Refuse before minutes of work what could not be written after them; the folder of `target` is made.
 
     Raises:
-        InputError: a folder is there, or its own folder cannot be made; named by `option`. OutputError: its disk is
-            full or read-only.
+        InputError: a folder, a device or a pipe is there, or its own folder cannot be made; named by `option`.
+            OutputError: its disk is full or read-only.
     """
     if target.is_dir():
         raise InputError(f"{option} {target} is a folder: name a file")
+    _refuse_device(f"{option} {target}", target)
     folder = target.absolute().parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -167,6 +170,17 @@ def check_place(target: Path, *, option: str) -> None:
         raise fault_of(error, f"{option} {target}: its folder cannot be made: {cause(error)}") from error
     if trouble := unwritable(folder):
         raise OutputError(f"{option} {target} cannot be written: {trouble}")
+
+
+def _refuse_device(name: str, target: Path) -> None:
+    """A file that takes its place would be there instead of /dev/null for every program of this machine.
+
+    Raises:
+        InputError: `target` is a device or a pipe, also by another name, as /dev/stdout is.
+    """
+    by_number = target.is_symlink() and os.readlink(target).startswith("/proc/")
+    if by_number or (target.exists() and not target.is_file() and not target.is_dir()):
+        raise InputError(f"{name} is a device or a pipe, not a file: name a file")
 
 
 def check_picture(target: Path, *, option: str) -> None:

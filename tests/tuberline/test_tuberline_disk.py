@@ -174,6 +174,24 @@ def test_a_folder_is_no_file_to_write(tmp_path: Path) -> None:
         check_place(tmp_path, option="--rrd")
 
 
+def test_a_device_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    """`export --out /dev/full`, by root, left an ordinary file there for all programs of the machine; it ended with 0.
+
+    A pipe stands for the device, and a link for /dev/stdout, which is one to /proc too.
+    """
+    pipe, stdout = tmp_path / "pipe.onnx", tmp_path / "stdout.onnx"
+    os.mkfifo(pipe)
+    stdout.symlink_to("/proc/self/fd/1")
+    for place in (pipe, stdout):
+        with pytest.raises(InputError, match="is a device or a pipe, not a file: name a file"):
+            check_place(place, option="--out")
+        code, said = tuberline("export-onnx", "--out", place)
+        assert_one_sentence(code, said, f"{place} is a device or a pipe", codes=(2,))
+    assert pipe.is_fifo()
+    assert stdout.is_symlink()
+    assert sorted(tmp_path.iterdir()) == [pipe, stdout]
+
+
 def test_a_disk_without_room_is_known_before_the_work(tiny_disk: Path) -> None:
     assert unwritable(tiny_disk) == ""
     ballast = tiny_disk / "ballast"
