@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from aggregator.calibration.tickets import Ticket
@@ -19,27 +19,25 @@ from aggregator.ledger.verified import LedgerView
 def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
     """Runs of a ledger, the newest first: when begun, what they came to, and how they ended (`ends.End`).
 
-    `weight_g` is that of what was seen, with its 90 % interval `low_g` to `high_g`; None where nothing was seen. A run
-    without a summary (it goes on, was stopped, or its process was killed) comes to what `ledger totals` makes of it.
+    `weight_g` is that of what was seen, with its 90 % interval `low_g` to `high_g`; None where nothing was seen. It is
+    what `ledger totals` makes of the run now: a ticket may have come after the summary of one that has ended.
     """
     newest, written = read_runs(view)[::-1][:limit], run_being_written(view)
     ledger = ReadLoads(view)
-    tickets = [] if all(known.finished for known in newest) else tickets_beside(ledger)
+    tickets = tickets_beside(ledger)
     found = []
     for known in newest:
         sums = ledger.sums(known.run)
         summary = summary_told(view, known.run, sums)
         end = end_of(known, written, sums=sums, summary=summary)
         begun = {"run": known.run, "started_unix_s": known.started_ns / 1e9}
-        found.append({**begun, "end": end, **_came_to(ledger, known, summary, tickets)})
+        final = known.finished and bool(summary["totals"]["final"])
+        found.append({**begun, "end": end, **_came_to(ledger, known, tickets), "final": final})
     return found
 
 
-def _came_to(ledger: ReadLoads, known: RunRow, summary: Mapping[str, Any], tickets: Sequence[Ticket]) -> dict[str, Any]:
-    if known.finished:
-        totals = summary["totals"]
-        return {name: totals[name] for name in ("count", "weight_g", "low_g", "high_g", "coverage", "final")}
+def _came_to(ledger: ReadLoads, known: RunRow, tickets: Sequence[Ticket]) -> dict[str, Any]:
     sums = together(run_loads(ledger, known, tickets))
     low_g, high_g = sums.seen_g if sums.saw else (None, None)
     grams = {"weight_g": sums.weight_g if sums.saw else None, "low_g": low_g, "high_g": high_g}
-    return {"count": sums.tubers, **grams, "coverage": sums.coverage, "final": False}
+    return {"count": sums.tubers, **grams, "coverage": sums.coverage}

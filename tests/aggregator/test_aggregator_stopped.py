@@ -26,11 +26,13 @@ from conveyor.delivery.kept import KeptPublisher
 from conveyor.messages import CameraInfo
 from conveyor.node import Node
 from tests.aggregator.belt_story import tell
+from tests.aggregator.loaded_story import S
 from tests.aggregator.looking_story import START_NS, look, positions_m, some_outages
 from tests.aggregator.test_aggregator_load_orders import loader
 from tests.aggregator.test_aggregator_node import Process, Segmenters, camera_info, line, process
 from tests.aggregator.virtual_line import Aggregator, fresh_run
 from tests.conftest import wait_until
+from tests.written_run import write_run
 from tuberline.api.runs import read_totals
 
 __all__ = ["line", "process"]
@@ -218,6 +220,25 @@ def test_runs_that_were_stopped_are_told_with_their_interval(tmp_path: Path) -> 
         assert told["low_g"] < told["weight_g"] < told["high_g"]
         assert (told["weight_g"] > 1.01 * grams) == calibrated
         assert (empty["run"], empty["count"], empty["weight_g"], empty["low_g"]) == ("empty", 0, None, None)
+
+
+def test_a_run_that_has_ended_is_told_with_the_ticket_that_came_after_it(tmp_path: Path) -> None:
+    """The page's earlier runs and `status` told what it came to when its cameras ended, before any ticket."""
+    write_run(tmp_path, run="r", crossed_ns=START_NS + np.arange(40) * S, weight_g=np.full(40, 170.0))
+    path = tmp_path / "ledger.db"
+    with reading(path) as view:
+        (before,) = last_loads(view, limit=3)
+    write_tickets(tmp_path / "tickets.json", [ticket_of(path, run="r", ticket_g=7500.0, ticket_sd_g=5.0)])
+    named = AggregatorConfig(tickets=tmp_path / "tickets.json")
+    (tmp_path / "line.toml").write_text(dump_toml(LineConfig(aggregator=named)))
+    with reading(path) as view:
+        (after,) = last_loads(view, limit=3)
+    sums = read_totals(path)[-1].sums
+    told = tuple(after[name] for name in ("count", "weight_g", "low_g", "high_g", "coverage"))
+    assert told == (40, sums.weight_g, *sums.seen_g, 1.0)
+    assert before["weight_g"] == pytest.approx(6800.0)
+    assert after["weight_g"] > 7300
+    assert (before["final"], after["final"], after["end"]) == (True, True, before["end"])
 
 
 @pytest.fixture
