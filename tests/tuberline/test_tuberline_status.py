@@ -14,9 +14,10 @@ from rich.console import Console
 
 from aggregator.ledger.writer import Ledger
 from conveyor.config import LineConfig, LinkConfig, dump_toml
-from conveyor.errors import ConfigError
+from conveyor.errors import PASSING, ConfigError, LinkError
 from conveyor.messages import Counters, Totals
 from conveyor.node import Node
+from conveyor.taken_port import free_port
 from tests.aggregator.loaded_story import story
 from tests.aggregator.virtual_line import Aggregator
 from tuberline.cli.address import LineAddress
@@ -63,6 +64,32 @@ def test_without_its_aggregator_a_line_tells_what_its_ledger_holds(
         assert "its ledger tells of run empty: nothing was seen" in told()
         ledger.write_bytes(b"no ledger" * 1000)
         assert "is not known here" in told()
+
+
+def test_a_line_that_does_not_run_tells_what_its_ledger_holds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the evening, when all of the line is stopped, it said that no router answered and nothing more."""
+    link = {"router": f"tcp/127.0.0.1:{free_port()}"}
+    config = LineConfig.model_validate({"link": link, "cameras": {"left": {}}, "aggregator": {"out": str(tmp_path)}})
+    file = tmp_path / "line.toml"
+    file.write_text(dump_toml(config), encoding="utf-8")
+
+    def told(*, json: bool) -> str:
+        with pytest.raises(LinkError, match="no router answered") as ended:
+            status(address=LineAddress(config=file), json=json, wait_s=0.0)
+        assert ended.value.exit_code == PASSING
+        return capsys.readouterr().out
+
+    assert told(json=True) == "", "there is no ledger"
+    with Ledger(tmp_path / "ledger.db") as opened:
+        at_work = Aggregator(opened, story())
+        at_work.commit_one_by_one()
+        count = len(at_work.tubers())
+    assert f"its ledger tells of run story: {count} tubers, " in told(json=False)
+    found = json.loads(told(json=True))
+    assert (found["totals"], found["last_known"]["count"], found["nodes"]) == (None, count, {})
+    assert "segmenter/left" in found["missing"]
 
 
 def test_totals_of_an_aggregator_that_left_are_the_last_ones() -> None:

@@ -29,10 +29,15 @@ def told_without_aggregator(known: dict[str, Any] | None) -> str:
     told = "[red]the aggregator is not there[/]: nothing is added up until it is back"
     if known is None:
         return f"{told}\nwhat was counted before is not known here: give --config on the machine that has the ledger"
+    return f"{told}\n{ledger_line(known)}"
+
+
+def ledger_line(known: dict[str, Any]) -> str:
+    """One line of what the ledger holds."""
     tubers = f"{known['count']} tuber{'' if known['count'] == 1 else 's'}"
     grams = known["weight_g"]
     came_to = "nothing was seen" if grams is None else f"[bold]{tubers}[/], {_weight(grams, known)}"
-    return f"{told}\nits ledger tells of run {known['run']}: {came_to}"
+    return f"its ledger tells of run {known['run']}: {came_to}"
 
 
 def _weight(grams: float, known: dict[str, Any]) -> str:
