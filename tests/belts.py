@@ -38,7 +38,7 @@ def here(*args: str | Path) -> subprocess.CompletedProcess[str]:
     """The same in this process, which has the modules that a new one would load: where what is told is tested, and not
     how a process starts or ends.
     """
-    from tuberline.cli import build_app
+    from tuberline.cli.commands import build_app
 
     words, out, code = [*map(str, args)], io.StringIO(), 0
     with redirect_stdout(out):

@@ -278,7 +278,7 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         signal.signal(signal.SIGHUP, lambda *_: None)
-    importlib.import_module("tuberline.cli")  # every node needs it
+    importlib.import_module("tuberline.cli.entry")  # every node needs it
     args = serve(socket.socket(fileno=int(sys.argv[1])), sys.argv[2:])
     if args is None:
         os._exit(0)

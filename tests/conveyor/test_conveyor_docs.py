@@ -16,7 +16,7 @@ import pytest
 from cyclopts import App
 from cyclopts.exceptions import CycloptsError, MissingArgumentError
 
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 from tuberline.cli.reference import pages
 
 ROOT = Path(__file__).resolve().parents[2]

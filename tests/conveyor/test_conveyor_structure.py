@@ -139,7 +139,7 @@ def function_lines(path: Path) -> Iterator[tuple[str, int]]:
 
 def test_help_loads_nothing_heavy() -> None:
     code = (
-        "import sys\nfrom tuberline.cli import build_app\n"
+        "import sys\nfrom tuberline.cli.commands import build_app\n"
         "try:\n    build_app()(['--help'])\nexcept SystemExit:\n    pass\n"
         "heavy = {'torch', 'cv2', 'numba', 'scipy', 'rerun', 'zenoh', 'numpy', 'pydantic'} & set(sys.modules)\n"
         "sys.exit(str(sorted(heavy)) if heavy else 0)"
@@ -160,7 +160,7 @@ def test_a_router_loads_neither_numpy_nor_messages() -> None:
 
 
 def test_every_command_exists_and_explains_itself() -> None:
-    from tuberline.cli import build_app
+    from tuberline.cli.commands import build_app
 
     app = build_app()
     names = [name for name in app if not name.startswith("-")]

@@ -18,7 +18,7 @@ from conveyor.config import load_config
 from conveyor.identity import Identity, own_files
 from tests.conftest import ROOT
 from tuberline.alarms.outbox import alarms_folder
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed: compose files and manifests unchecked")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 
 DEPLOY = ROOT / "deploy"
 TUBERLINE = Path(sys.executable).with_name("tuberline")

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,8 +18,7 @@ from rich.console import Console
 
 from conveyor.errors import InputError
 from tests.belts import here
-from tuberline.cli import build_app
-from tuberline.cli.commands import FORMER, GROUPS, LAB, PARTS
+from tuberline.cli.commands import FORMER, GROUPS, LAB, PARTS, build_app
 from tuberline.cli.width import LEAST_WIDTH, least_width
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -277,3 +277,21 @@ def tuberline(*words: object) -> subprocess.CompletedProcess[str]:
 
 def _env() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "80"}
+
+
+@pytest.mark.parametrize(("module", "code"), [("cyclopts", -signal.SIGINT), ("aggregator.ledger.totals_by", 130)])
+def test_ctrl_c_while_modules_are_loaded_says_nothing(module: str, code: int) -> None:
+    """In the first third of a second it was a traceback of Python's imports."""
+    pressed = (
+        "import os, signal, sys\n"
+        "class Loading:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Loading())\n"
+        "sys.argv = ['tuberline', 'ledger', 'totals', 'nowhere']\n"
+        "from tuberline.cli import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", pressed], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")

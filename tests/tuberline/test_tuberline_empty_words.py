@@ -17,7 +17,7 @@ from cyclopts.exceptions import CycloptsError
 
 from tests.aggregator.finished_ledger import write_finished
 from tests.tuberline.test_tuberline_numbers import commands, needed
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,7 +13,7 @@ from cyclopts.exceptions import CycloptsError
 
 from conveyor.errors import ConfigError, InputError
 from conveyor.served import ServedAt
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 from tuberline.cli.metrics import metrics
 from tuberline.cli.page import page
 

@@ -30,7 +30,7 @@ from regressor.network.sidecar import Sidecar
 from regressor.weigh.prepare import PreparedCloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tests.conftest import ROOT
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 
 OLD = Path(__file__).parent / "v0_1"
 DEPTH = "4e25889e085997fe6ab6f2ad46fb98ced204bb59e274b352729590c84de70a1e"

@@ -26,7 +26,7 @@ from conveyor.node import Node
 from conveyor.taken_port import free_port
 from tests.conftest import wait_until
 from tests.viewer.viewer_line import camera_info, potatoes, totals
-from tuberline.cli import build_app
+from tuberline.cli.commands import build_app
 from viewer.page.maps import FieldMaps
 from viewer.page.state import LineState
 from viewer.page.watch import LineWatch

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cyclopts import App
 
-from tuberline.cli import build_app
 from tuberline.cli.api_page import api_page, shown
+from tuberline.cli.commands import build_app
 from tuberline.cli.config_page import config_page
 from tuberline.cli.topics import delivery_table, markdown_table
 
