@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -67,6 +68,41 @@ def test_the_pdf_report_takes_no_text_for_markup(tmp_path: Path) -> None:
             [pdftotext, tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
         ).stdout
         assert text.count("#panic") == 10, "all but the title of the window"
+
+
+def test_a_long_word_leaves_the_figures_beside_it_to_be_read(run: Path, tmp_path: Path) -> None:
+    """In HTML all columns of weights lay outside of the page, on A4 names lay over each other and labels over bars."""
+    pytest.importorskip("typst")
+    facts = day_facts([run])
+    named = [
+        replace(facts.loads[0], label=f"{n} {name}", field=field)
+        for n, (name, field) in enumerate([("x" * 120, "y" * 200), ("trailer", "North 4"), ("Wald " * 40, "z" * 30)])
+    ]
+    report = report_of(replace(facts, loads=tuple(named)), map_png=None, map_note="")
+    bars = Bars("Classes", (("small", "#112233"),), tuple((load.label, "0.0 % foreign", (1.0,)) for load in named))
+    report = replace(report, blocks=(*report.blocks, bars))
+    html = report_html(report)
+    assert not re.search("[x-z]{13}", html)
+    assert html.replace("<wbr>", "").count("y" * 200) == 1
+    if (pdftotext := shutil.which("pdftotext")) is None:
+        return
+    (tmp_path / "report.pdf").write_bytes(report_pdf(report))
+    found = subprocess.run(
+        [pdftotext, "-bbox", tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
+    ).stdout
+    for page in found.split("<page ")[1:]:
+        words = [
+            [float(value) for value in box]
+            for box in re.findall(r'<word xMin="([\d.]+)" yMin="([\d.]+)" xMax="([\d.]+)" yMax="([\d.]+)"', page)
+        ]
+        assert max(x1 for _, _, x1, _ in words) < 548, "within the margin of A4: 210 mm less 17"
+        over = [
+            (a, b)
+            for n, a in enumerate(words)
+            for b in words[:n]
+            if min(a[2], b[2]) - max(a[0], b[0]) > 2 and min(a[3], b[3]) - max(a[1], b[1]) > 4
+        ]
+        assert not over, over[:3]
 
 
 def test_what_went_wrong_is_said_in_words(run: Path) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
-from html import escape
+from html import escape as escaped
 from importlib.resources import files
 from typing import Any
 
-from tuberline.export.report.page import Bars, Figures, Grid, Picture, Report, Sentences
+from tuberline.export.report.page import MAY_BREAK, Bars, Figures, Grid, Picture, Report, Sentences, breakable
 
 
 def report_html(report: Report) -> str:
@@ -18,10 +18,15 @@ def report_html(report: Report) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(report.title)}</title>\n<style>\n{style}</style></head>\n<body><main>\n"
+        f"<title>{escaped(report.title)}</title>\n<style>\n{style}</style></head>\n<body><main>\n"
         f"<header><h1>{escape(report.title)}</h1><p>{escape(report.subtitle)}</p></header>\n"
         f"{body}\n<footer>{escape(report.foot)}</footer>\n</main></body></html>\n"
     )
+
+
+def escape(text: str) -> str:
+    """Text between tags; a long word may be broken."""
+    return escaped(breakable(text)).replace(MAY_BREAK, "<wbr>")
 
 
 def _figures(block: Figures) -> str:
@@ -45,11 +50,11 @@ def _grid(block: Grid) -> str:
 
 
 def _bars(block: Bars) -> str:
-    legend = "".join(f'<li><i style="background:{escape(c)}"></i>{escape(name)}</li>' for name, c in block.parts)
+    legend = "".join(f'<li><i style="background:{escaped(c)}"></i>{escape(name)}</li>' for name, c in block.parts)
     rows = []
     for name, side, shares in block.rows:
         spans = "".join(
-            f'<i style="width:{100 * share:.2f}%;background:{escape(colour)}"></i>'
+            f'<i style="width:{100 * share:.2f}%;background:{escaped(colour)}"></i>'
             for share, (_, colour) in zip(shares, block.parts, strict=True)
         )
         rows.append(f"<tr><th>{escape(name)}</th><td><div>{spans}</div></td><td>{escape(side)}</td></tr>")
@@ -59,7 +64,7 @@ def _bars(block: Bars) -> str:
 
 def _picture(block: Picture) -> str:
     data = base64.b64encode(block.png).decode()
-    image = f'<img alt="{escape(block.title)}" src="data:image/png;base64,{data}">'
+    image = f'<img alt="{escaped(block.title)}" src="data:image/png;base64,{data}">'
     return _section(block.title, image + _note(block.note))
 
 

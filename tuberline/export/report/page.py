@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
 Align = Literal["left", "right"]
+
+MAY_BREAK = "\u200b"
+"""Has no width of its own; a line may end there."""
+_LONG_WORD = re.compile(r"\S{12}(?=\S)")
+
+
+def breakable(text: str) -> str:
+    """`text` whose long words may be broken: one of a hundred letters, as a name may be, pushed all figures of its
+    table off the page.
+    """
+    return _LONG_WORD.sub(lambda word: word[0] + MAY_BREAK, text)
 
 
 @dataclass(frozen=True, slots=True)

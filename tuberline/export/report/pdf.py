@@ -7,10 +7,11 @@ import shutil
 import tempfile
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from conveyor.errors import InputError
 from conveyor.extras import needed
-from tuberline.export.report.page import Picture, Report
+from tuberline.export.report.page import Picture, Report, breakable
 
 
 def report_pdf(report: Report) -> bytes:
@@ -27,7 +28,7 @@ def report_pdf(report: Report) -> bytes:
             if isinstance(block, Picture):
                 values["png"] = f"picture-{n}.png"
                 (folder / values["png"]).write_bytes(block.png)
-        (folder / "day.json").write_text(json.dumps(told), encoding="utf-8")
+        (folder / "day.json").write_text(json.dumps(_breakable(told)), encoding="utf-8")
         with files(__package__).joinpath("day.typ").open("rb") as template, (folder / "day.typ").open("wb") as copy:
             shutil.copyfileobj(template, copy)
         try:
@@ -35,3 +36,12 @@ def report_pdf(report: Report) -> bytes:
         except RuntimeError as error:
             raise InputError(f"typst cannot set the report: {error}") from error
     return made
+
+
+def _breakable(values: Any) -> Any:
+    """The same values; long words in all texts may be broken."""
+    if isinstance(values, dict):
+        return {name: _breakable(value) for name, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_breakable(value) for value in values]
+    return breakable(values) if isinstance(values, str) else values
