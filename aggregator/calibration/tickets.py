@@ -123,9 +123,12 @@ def check_ticket(ticket: Ticket) -> Ticket:
     if ticket.estimated_g <= 0:
         raise InputError(f"{ticket.name} counted no tuber: there is nothing to calibrate")
     if ticket.coverage < LEAST_COVERAGE:
+        # Rounded down: 79.7 % are not the 80 that it takes. Tubers of no belt are of one that is not known.
+        share = f"{math.floor(1000 * ticket.coverage) / 10:g} % of the belt were looked at"
+        seen = share if ticket.coverage else "how much of its belt was looked at is not known"
         raise InputError(
-            f"{ticket.name}: {100 * ticket.coverage:.0f} % of the belt were looked at, a ticket needs at least "
-            f"{100 * LEAST_COVERAGE:.0f} %: calibrate with a load that was seen whole"
+            f"{ticket.name}: {seen}, a ticket needs at least {100 * LEAST_COVERAGE:.0f} %: calibrate with a load that "
+            "was seen whole"
         )
     ratio = ticket.ticket_g / ticket.estimated_g
     low, high = RATIO_RANGE

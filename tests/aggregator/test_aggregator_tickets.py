@@ -78,6 +78,8 @@ def test_tickets_of_other_weights_do_not_count() -> None:
     [
         (ticket(0.001), "same load, net, in kilograms"),
         (ticket(1.0, coverage=0.5), "50 % of the belt"),
+        (ticket(1.0, coverage=0.7996), r"79\.9 % of the belt were looked at, a ticket needs at least 80 %"),
+        (ticket(1.0, coverage=0.0), "how much of its belt was looked at is not known, a ticket needs at least 80 %"),
         (Ticket("r", MODEL, 1e6, 0, 0.0, 0, 1.0), "counted no tuber"),
         (Ticket("r", MODEL, -5.0, 0, 1e6, 0, 1.0), "above 0 kg"),
         (Ticket("r", MODEL, 1e6, -10.0, 1e6, 0, 1.0), r"scale's error is -0\.01 kg"),
