@@ -19,6 +19,8 @@ from aggregator.yield_map.track import Path
 from conveyor.errors import InputError
 
 STEP_S = 1.0
+MOST_AHEAD_M = 20.0
+"""Of the antenna, in front of the share or behind it."""
 SLOWEST_M_S = 0.15
 RAMP_S = 4.0
 """How long a pass's first and last stretch is filled by the mixing on webs and elevators rather than by the ground."""
@@ -90,6 +92,11 @@ class Machine:
             )
         if not -60 <= self.delay_s <= 600:
             raise InputError(f"delay from ground to camera is {self.delay_s:g} s; allowed are -60 to 600 s")
+        if not abs(self.antenna_ahead_m) <= MOST_AHEAD_M:
+            raise InputError(
+                f"the antenna is {self.antenna_ahead_m:g} m in front of the share; allowed are -{MOST_AHEAD_M:g} to "
+                f"{MOST_AHEAD_M:g} m"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from aggregator.ledger.writer import Ledger
+from conveyor.errors import InputError
 from tests.aggregator.belt_story import tell
 from tests.aggregator.loaded_story import Loads, story
 from tests.aggregator.virtual_line import undisturbed
@@ -66,3 +68,21 @@ def test_what_was_not_seen_weighs_nothing_that_is_known(tmp_path: Path, capsys: 
     assert figures.items[0] == ("Potatoes", "–", "no belt was seen")
     grid = next(block for block in report.blocks if isinstance(block, Grid))
     assert [row[5:9] for row in grid.rows] == [("–",) * 4] * 2
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"format": "csv", "out": "a.xlsx"}, r"a\.xlsx is named as xlsx and would be csv: end its name in \.csv"),
+        ({"format": "pdf", "out": "a.HTML"}, r"a\.HTML is named as html and would be pdf: end its name in \.pdf"),
+        ({"format": "isoxml", "out": "a.csv"}, r"a\.csv is named as csv and would be isoxml: end its name in \.zip"),
+        ({"format": "csv", "what": "loads", "track": ["way.csv"]}, "loads have no place: leave it out"),
+    ],
+)
+def test_options_that_contradict_each_other_are_told(given: dict[str, Any], told: str, tmp_path: Path) -> None:
+    """A PDF was written into a file named a.html, and positions were taken for loads and never used."""
+    paths = {name: tmp_path / value for name, value in given.items() if name == "out"}
+    tracks = {"track": [tmp_path / value for value in given["track"]]} if "track" in given else {}
+    with pytest.raises(InputError, match=told):
+        export([tmp_path], **{**given, **paths, **tracks})
+    assert list(tmp_path.iterdir()) == []

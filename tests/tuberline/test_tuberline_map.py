@@ -104,6 +104,7 @@ def test_the_command_as_typed(runs: list[Path], tmp_path: Path) -> None:
         ({"width_m": 3, "track": 1, "track_shift_s": 90000}, "another day's track"),
         ({"width_m": 3, "track": 1, "delay_s": 9000}, "allowed are -60 to 600 s"),
         ({"width_m": 3, "track": 1, "cell_m": 0.1}, "allowed are 1 to 1000 m"),
+        ({"width_m": 3, "track": 1, "antenna_ahead_m": 300}, "the antenna is 300 m in front .* allowed are -20 to 20"),
         ({"width_m": 3, "track": 1, "delay_s": 17, "cell_m": 1000}, "no cell of 1000 m has a quarter"),
     ],
 )

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tuberline.export.counted import LedgerTubers
+    from tuberline.export.write import Format
     from tuberline.maps.field import FieldPlaces
 
 
@@ -77,14 +78,11 @@ def export(
     from tuberline.export.write import export as write
 
     form = Format(format)
-    if form in (*REPORTS, Format.ISOXML) and what != "tubers":
-        raise InputError(f"--what {what} chooses the rows of a table; {form.value} has all it needs: leave it out")
-    if form not in REPORTS and (day is not None or contract is not None):
-        option = "--day" if day is not None else "--contract"
-        raise InputError(f"{option} is of the report: give it with --format html or pdf; {form.value} holds all rows")
+    _check(form, what=what, track=track, day=day, contract=contract)
     name = "report" if form in REPORTS else "taskdata" if form is Format.ISOXML else what
     runs, tracks = each_once(runs, track or [])
     target = output(runs, f"{name}.{ENDINGS.get(form, form.value)}", out, read=(*tracks, contract))
+    _check_name(form, out)
     how = {"width_m": width_m, "overlap_m": overlap_m, "delay_s": delay_s, "antenna_ahead_m": None}
     settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
     # Of one moment: places are found for the same tubers as the rows have.
@@ -109,6 +107,36 @@ def export(
     noun = "record" if form is Format.ISOXML else "row"
     written = f"{rows} {noun}{'s' * (rows != 1)}"
     sys.stdout.write(f"{written}{'' if form is Format.ISOXML else f' of {what}'} in {target}\n")
+
+
+def _check(form: Format, *, what: str, track: list[Path] | None, day: str | None, contract: Path | None) -> None:
+    """Refuse options of which one says what another does not let it be.
+
+    Raises:
+        InputError: some do; the text says which, and what to do.
+    """
+    from tuberline.export.write import REPORTS, Format
+
+    if form in (*REPORTS, Format.ISOXML) and what != "tubers":
+        raise InputError(f"--what {what} chooses the rows of a table; {form.value} has all it needs: leave it out")
+    if form not in REPORTS and (day is not None or contract is not None):
+        option = "--day" if day is not None else "--contract"
+        raise InputError(f"{option} is of the report: give it with --format html or pdf; {form.value} holds all rows")
+    if what == "loads" and track:
+        raise InputError("--track places tubers and cells, loads have no place: leave it out, or choose --what tubers")
+
+
+def _check_name(form: Format, out: Path | None) -> None:
+    """Refuse a file that is named as another format than it would be.
+
+    Raises:
+        InputError: it is.
+    """
+    from tuberline.export.write import ENDINGS, Format
+
+    named, ending = out.suffix.lower().removeprefix(".") if out else "", ENDINGS.get(form, form.value)
+    if named != ending and named in {ENDINGS.get(each, each.value) for each in Format}:
+        raise InputError(f"--out {out} is named as {named} and would be {form.value}: end its name in .{ending}")
 
 
 def _report(

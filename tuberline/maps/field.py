@@ -211,7 +211,7 @@ def _places_of(
 ) -> tuple[FieldPlaces, float]:
     """(the places, half of the interval that all have in common, percent)."""
     for each in settings:
-        Machine(each.width_m, 0.0, each.overlap_m)
+        Machine(each.width_m, 0.0, each.overlap_m, each.antenna_ahead_m)
         check_cell(each.cell_m)
     check_tracks(runs, tracks)
     known: Sequence[Iterable[Tuber] | None] = tubers or [None] * len(runs)
