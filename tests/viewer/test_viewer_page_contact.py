@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
+import viewer.page.watch as watch
+from conveyor.config import LinkConfig
+from conveyor.taken_port import free_port
+from tests.conftest import wait_until
 from tests.viewer.page_states import camera_info, good_state, loaded_state, totals
 from tests.viewer.test_viewer_page_alarms import texts
 from viewer.page.alarms import alarms
@@ -92,3 +98,21 @@ def test_cameras_of_a_line_that_was_switched_off_have_ended() -> None:
     failed = {**state.cameras, "left": camera_info("left", state="failed")}
     shown = snapshot(replace(state, nodes=off, cameras=failed))["cameras"]
     assert [camera["state"] for camera in shown] == ["failed", "ended"]
+
+
+def test_a_router_that_stays_away_is_told_by_the_page_and_logged_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Beside a line that is stopped for the night the page's log grew by ten lines a minute."""
+    monkeypatch.setattr(watch, "CONNECT_WITHIN_S", 0.2)
+    monkeypatch.setattr(watch, "RETRY_S", 0.1)
+    router, told = f"tcp/127.0.0.1:{free_port()}", list[LineState]()
+    away = watch.LineWatch(LinkConfig(router=router), line="north", tell=told.append)
+    with caplog.at_level("WARNING", logger="page/north"):
+        away.start()
+        wait_until(lambda: len(told) >= 3, what="three tries")
+        away.stop()
+    assert {state.no_router for state in told} == {router}
+    assert [record.getMessage().partition(" within")[0] for record in caplog.records] == [
+        f"no router answered at {router}"
+    ]

@@ -27,6 +27,8 @@ LOOK_EVERY_S = 0.25
 TELL_EVERY_S = 1.0
 CONNECT_WITHIN_S = 5.0
 RETRY_S = 1.0
+SAY_EVERY_S = 60.0
+"""The log says so seldom that there is still no router: the page itself tells at once."""
 TRAVEL_INBOX = 64
 LOADS_EVERY_S = 20.0
 LOADS_WITHIN_S = 1.0
@@ -106,15 +108,19 @@ class LineWatch:
         self._asked_s = None
 
     def _watch(self) -> None:
+        said, said_s = "", 0.0
         while not self._stop.is_set():
             self._turned_s = time.monotonic()
             try:
                 with Observer(self._link, line=self.line, known=self._known) as observer:
                     self._log.info("watching line %s at %s", self.line, self._link.router)
+                    said = ""
                     with PictureWatch(observer, self._pictures):
                         self._observe(observer)
             except TuberlineError as error:
-                self._log.warning("%s", error)
+                if str(error) != said or time.monotonic() - said_s >= SAY_EVERY_S:
+                    said, said_s = str(error), time.monotonic()
+                    self._log.warning("%s", error)
                 self._tell(self._state_of({}, time.monotonic(), no_router=self._link.router))
             self._stop.wait(RETRY_S)
 
