@@ -172,6 +172,25 @@ def check_place(target: Path, *, option: str) -> None:
         raise OutputError(f"{option} {target} cannot be written: {trouble}")
 
 
+def check_folder(target: Path, *, option: str) -> None:
+    """Refuse before minutes of work a folder into which nothing could be written after them; it is made.
+
+    Raises:
+        InputError: it cannot be made, or this user may not write into it; named by `option`. OutputError: its disk is
+            full or read-only.
+    """
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise fault_of(error, f"{option} {target} cannot be made: {cause(error)}") from error
+    if trouble := unwritable(target):
+        raise OutputError(f"{option} {target} cannot be written: {trouble}")
+    if not os.access(target, os.W_OK | os.X_OK):
+        raise InputError(
+            f"{option} {target} cannot be written: {cause(OSError(errno.EACCES, os.strerror(errno.EACCES)))}"
+        )
+
+
 def _refuse_device(name: str, target: Path) -> None:
     """A file that takes its place would be there instead of /dev/null for every program of this machine.
 

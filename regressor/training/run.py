@@ -10,27 +10,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
-from conveyor.files import remove_partials
+from conveyor.files import check_folder, remove_partials
 from conveyor.formats.potatotwin.layout import is_potatotwin
 from conveyor.formats.potatotwin.resting import level_of
 from conveyor.resting import RestingLevel
-from regressor.network.checkpoint import read_checkpoint, save_checkpoint
+from regressor.network.checkpoint import save_checkpoint
+from regressor.network.device import usable_device
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
 from regressor.network.sidecar import InputSpec, Range, Sidecar, checked_name
 from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
+from regressor.training.beginning import begun_state, check_out, check_views, parts_of, start_weights
 from regressor.training.begun import digest_of
 from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
 from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset
-from regressor.training.labelled import part_of
-from regressor.training.loop import load_state, run_training
+from regressor.training.loop import run_training
 from regressor.training.plausible import refused_told
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training
@@ -92,25 +92,38 @@ def train(
     """Train, calibrate, write `weights.safetensors` with its sidecar; the sidecar.
 
     Raises:
-        InputError: data that cannot be used, a state to resume that is not there.
+        InputError: data that cannot be used, a state to resume that is not there, or a folder that cannot be written.
     """
     keep_memory()
     state = options.out / STATE
-    if options.resume and not state.is_file():
-        raise InputError(f"{options.out} holds no training to go on with (no {STATE}): leave --resume out to begin one")
-    if not options.resume and state.is_file():
-        raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
+    check_out(state, resume=options.resume)
+    usable_device(settings.device)
+    check_views(options.data, options.validation, settings)
+    start = start_weights(options.start, settings)
+    begun = begun_state(state, settings, start) if options.resume else None
+    check_folder(options.out, option="--out")
+    _train(options, settings, begun, start, on_prepared=on_prepared, on_step=on_step, on_validated=on_validated)
+    return read_weights(options.out / WEIGHTS)[1]
+
+
+def _train(
+    options: RunOptions,
+    settings: TrainSettings,
+    begun: dict[str, Any] | None,
+    start: dict[str, Tensor] | None,
+    *,
+    on_prepared: Callable[[str, int], None],
+    on_step: Callable[[Training], None],
+    on_validated: Callable[[Training, dict[str, Any]], None],
+) -> None:
     data, validation = load_sets(options, on_prepared, keep=settings.kept_points)
     data, validation = (views.with_target(settings.target) for views in (data, validation))
     rule = fit_volume_rule(data.view_features, data.weight_g)
     training = Training(data, validation, settings)
-    if options.start is not None:
-        training.start_from(read_checkpoint(options.start)[0], where=str(options.start))
-    if options.resume:
-        begun, given = load_state(state), training.start
+    if start is not None:
+        training.start_from(start, where=str(options.start))
+    if begun is not None:
         training.restore(begun)
-        _check_start(begun, given)
-    options.out.mkdir(parents=True, exist_ok=True)
     for name in (WEIGHTS, LATEST, STATE):
         remove_partials(options.out, name)
     remove_partials(options.out / "cache", "clouds-*")
@@ -129,26 +142,6 @@ def train(
         on_validated=write,
         on_step=on_step,
     )
-    return read_weights(options.out / WEIGHTS)[1]
-
-
-def _check_start(begun: dict[str, Any], now: dict[str, Tensor] | None) -> None:
-    """Refuse to go on from other weights than a training was begun with: they would stand in its sidecar's command.
-
-    Both are of one network: its settings are compared before.
-
-    Raises:
-        InputError: the state was begun with others, with none, or with some where none are given.
-    """
-    before = begun.get("start")
-    if "start" not in begun or (before is None and now is None):
-        return
-    if before is None or now is None or not all(torch.equal(before[name], now[name].cpu()) for name in before):
-        with_what = "without weights to start from" if before is None else "from other weights"
-        raise InputError(
-            f"this training was begun {with_what}. A training goes on as it was begun: give the --start of its first "
-            "call with --resume, or begin another one with another --out"
-        )
 
 
 def load_sets(
@@ -161,11 +154,11 @@ def load_sets(
     and clean tubers would read light for it.
     """
     cache = options.cache or options.out / "cache"
-    same = options.validation.resolve() == options.data.resolve()
+    part, validation_part = parts_of(options.data, options.validation)
     validation = load_cloudset(
         options.validation,
         cache=cache,
-        split="val" if same else part_of(options.validation, "val"),
+        split=validation_part,
         max_views=options.max_validation_views,
         keep=keep,
         progress=lambda done: on_prepared("validation", done),
@@ -173,7 +166,7 @@ def load_sets(
     data = load_cloudset(
         options.data,
         cache=cache,
-        split="train" if same else part_of(options.data, "train"),
+        split=part,
         keep=keep,
         progress=lambda done: on_prepared("training", done),
     )

@@ -56,11 +56,7 @@ class Training:
     """One training: model, its moving average, optimiser, draws and log. `start`: weights that it began with."""
 
     def __init__(self, data: CloudSet, validation: CloudSet, settings: TrainSettings) -> None:
-        if len(data) < settings.batch:
-            raise InputError(
-                f"{len(data)} training views are fewer than one batch of {settings.batch}: give more views, or a "
-                "smaller --batch"
-            )
+        check_batch(len(data), settings.batch)
         self.device = usable_device(settings.device)
         torch.manual_seed(settings.seed)
         self.settings = settings
@@ -230,9 +226,7 @@ class Training:
         Raises:
             InputError: they are of another network; says what differs.
         """
-        expected = {name: tuple(value.shape) for name, value in self.model.state_dict().items()}
-        given = {name: value.numpy() for name, value in weights.items()}
-        check_architecture(given, expected, where=where, network=self.settings.network)
+        check_start_weights(weights, self.model, where=where, network=self.settings.network)
         self.model.load_state_dict(weights)
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.start = {name: value.clone() for name, value in self.model.state_dict().items()}
@@ -264,10 +258,7 @@ class Training:
             if state.get(key, mine := digest_of(views)) != mine:
                 changed.append(f"other {what} views")
         if changed:
-            raise InputError(
-                f"this training was begun otherwise: {'; '.join(changed)}. A training goes on as it was begun: give "
-                "the options of its first call with --resume, or begin another one with another --out"
-            )
+            raise InputError(_begun_otherwise(changed))
         if state.get("start") is not None:
             self.start = {name: value.to(self.device) for name, value in state["start"].items()}
         self.model.load_state_dict(state["model"])
@@ -278,6 +269,46 @@ class Training:
         if self.device.type == "cuda" and state.get("cuda_rng") is not None:
             torch.cuda.set_rng_state(state["cuda_rng"], self.device)
         self.progress = Progress(**state["progress"])
+
+
+def check_batch(views: int, batch: int) -> None:
+    """Refuse fewer training views than one batch.
+
+    Raises:
+        InputError: with both numbers.
+    """
+    if views < batch:
+        raise InputError(
+            f"{views} training views are fewer than one batch of {batch}: give more views, or a smaller --batch"
+        )
+
+
+def check_start_weights(weights: dict[str, Tensor], model: Network, *, where: str, network: str) -> None:
+    """Refuse weights to begin with that are of another network than `model`, which is called `network`.
+
+    Raises:
+        InputError: says what differs.
+    """
+    expected = {name: tuple(value.shape) for name, value in model.state_dict().items()}
+    given = {name: value.numpy() for name, value in weights.items()}
+    check_architecture(given, expected, where=where, network=network)
+
+
+def check_settings(state: dict[str, Any], settings: TrainSettings) -> None:
+    """Refuse to go on from a state with other settings, which can be told before a view is read.
+
+    Raises:
+        InputError: names them.
+    """
+    if changed := differences(state["settings"], asdict(settings)):
+        raise InputError(_begun_otherwise(changed))
+
+
+def _begun_otherwise(changed: list[str]) -> str:
+    return (
+        f"this training was begun otherwise: {'; '.join(changed)}. A training goes on as it was begun: give "
+        "the options of its first call with --resume, or begin another one with another --out"
+    )
 
 
 def mean_of(state: dict[str, Tensor], other: dict[str, Tensor], *, share: float) -> dict[str, Tensor]:

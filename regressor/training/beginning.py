@@ -1,0 +1,117 @@
+"""What a training is refused for before it prepares a view.
+
+Views take minutes to prepare, hours where there are many: what can be told without them is told first.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from conveyor.errors import InputError
+from conveyor.formats.packs.views import count_views
+from conveyor.formats.potatotwin.layout import SPLITS, is_potatotwin
+from regressor.network.checkpoint import read_checkpoint
+from regressor.network.networks import new_network
+from regressor.training.labelled import count_labelled, labelled_files, part_of
+from regressor.training.loop import load_state
+from regressor.training.recipe import TrainSettings
+from regressor.training.train import check_batch, check_settings, check_start_weights
+
+
+def parts_of(data: Path, validation: Path) -> tuple[str | None, str | None]:
+    """The parts of splits.csv that a training reads: of `data`, and of `validation`; None is all of it.
+
+    Raises:
+        InputError: both are the same folder, and it has no parts.
+    """
+    parts = part_of(data, "train"), part_of(validation, "val")
+    if parts[0] is None and data.resolve() == validation.resolve() and data.is_dir():
+        fix = (
+            f"`tuberline split {data}` shares its tubers out"
+            if is_potatotwin(data)
+            else "only a 3DPotatoTwin folder has parts, so give a pack of its own for each part"
+        )
+        raise InputError(
+            f"--data and --val are both {data}, which has no {SPLITS}: a network is judged by tubers that it has not "
+            f"learned from; {fix}"
+        )
+    return parts
+
+
+def check_views(data: Path, validation: Path, settings: TrainSettings) -> None:
+    """Refuse folders without views, and fewer training views than one batch.
+
+    Raises:
+        InputError: says which.
+    """
+    part, validation_part = parts_of(data, validation)
+    labelled_files(validation, split=validation_part)
+    shards = [path for path in labelled_files(data, split=part) if path.suffix == ".npz"]
+    if all(map(count_views, shards)):  # what is wrong with one that cannot be read its reader says
+        check_batch(count_labelled(data, split=part), settings.batch)
+
+
+def check_out(state: Path, *, resume: bool) -> None:
+    """Refuse a folder in which there is no training to go on with, or where one begins a training.
+
+    Raises:
+        InputError: with how to go on.
+    """
+    out = state.parent
+    if resume and not state.is_file():
+        raise InputError(f"{out} holds no training to go on with (no {state.name}): leave --resume out to begin one")
+    if not resume and state.is_file():
+        raise InputError(f"{out} already holds a training: go on with --resume or give another --out")
+
+
+def begun_state(path: Path, settings: TrainSettings, start: dict[str, Tensor] | None) -> dict[str, Any]:
+    """The state to go on with.
+
+    Raises:
+        InputError: unreadable, or of a training with other settings or begun from other weights than `start`.
+    """
+    state = load_state(path)
+    check_settings(state, settings)
+    _same_start(state, start)
+    return state
+
+
+def _same_start(begun: dict[str, Any], now: dict[str, Tensor] | None) -> None:
+    """Refuse to go on from other weights than a training was begun with: they would stand in its sidecar's command.
+
+    Both are of one network: its settings are compared before.
+
+    Raises:
+        InputError: the state was begun with others, with none, or with some where none are given.
+    """
+    before = begun.get("start")
+    if "start" not in begun or (before is None and now is None):
+        return
+    if before is None or now is None or not all(torch.equal(before[name], now[name].cpu()) for name in before):
+        with_what = "without weights to start from" if before is None else "from other weights"
+        raise InputError(
+            f"this training was begun {with_what}. A training goes on as it was begun: give the --start of its first "
+            "call with --resume, or begin another one with another --out"
+        )
+
+
+def start_weights(path: Path | None, settings: TrainSettings) -> dict[str, Tensor] | None:
+    """The weights that a training begins with; None for random ones.
+
+    Raises:
+        InputError: not there, unreadable, or of another network than `settings` trains.
+    """
+    if path is None:
+        return None
+    if not path.is_file():
+        why = "is a folder: give the .safetensors file in it" if path.is_dir() else "is not there"
+        raise InputError(f"--start {path} {why}")
+    weights = read_checkpoint(path)[0]
+    with torch.random.fork_rng(devices=[]):
+        model = new_network(settings.network, height_embedding=settings.height_embedding, dropout=settings.dropout)
+    check_start_weights(weights, model, where=str(path), network=settings.network)
+    return weights
