@@ -1,17 +1,22 @@
-"""What a training is refused for before it prepares a view.
+"""What a training is refused for before it prepares a view, and how it keeps its folder to itself.
 
 Views take minutes to prepare, hours where there are many: what can be told without them is told first.
 """
 
 from __future__ import annotations
 
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, OutputError
+from conveyor.files import check_folder
 from conveyor.formats.packs.views import count_views
 from conveyor.formats.potatotwin.layout import SPLITS, is_potatotwin
 from regressor.network.checkpoint import read_checkpoint
@@ -20,6 +25,40 @@ from regressor.training.labelled import count_labelled, labelled_files, part_of
 from regressor.training.loop import load_state
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import check_batch, check_settings, check_start_weights
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """`folder`, made where it is not there, with no other training in it: two would mix states, weights and logs.
+
+    Where a file system knows no locks of folders nothing keeps the other out.
+
+    Raises:
+        InputError: it cannot be made or written. OutputError: its disk is full, or another process trains in it.
+    """
+    fresh = not folder.exists()
+    check_folder(folder, option="--out")
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):
+            _take(lock, folder)
+        yield
+    except BaseException:
+        if fresh:
+            with suppress(OSError):  # something lies in it
+                folder.rmdir()
+        raise
+    finally:
+        os.close(lock)
+
+
+def _take(lock: int, folder: Path) -> None:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise OutputError(
+            f"another process trains in {folder}: wait until it has ended or stop it, or give another --out"
+        ) from error
 
 
 def parts_of(data: Path, validation: Path) -> tuple[str | None, str | None]:
@@ -55,8 +94,8 @@ def check_views(data: Path, validation: Path, settings: TrainSettings) -> None:
         check_batch(count_labelled(data, split=part), settings.batch)
 
 
-def check_out(state: Path, *, resume: bool) -> None:
-    """Refuse a folder in which there is no training to go on with, or where one begins a training.
+def check_out(state: Path, weights: Path, *, resume: bool) -> None:
+    """Refuse a folder in which there is no training to go on with, or where one begins weights or a training.
 
     Raises:
         InputError: with how to go on.
@@ -66,6 +105,11 @@ def check_out(state: Path, *, resume: bool) -> None:
         raise InputError(f"{out} holds no training to go on with (no {state.name}): leave --resume out to begin one")
     if not resume and state.is_file():
         raise InputError(f"{out} already holds a training: go on with --resume or give another --out")
+    if not resume and weights.is_file():
+        raise InputError(
+            f"{out} already holds {weights.name}, which a new training would overwrite: give another --out, or move "
+            f"{weights.name} and {weights.with_suffix('.json').name} away"
+        )
 
 
 def begun_state(path: Path, settings: TrainSettings, start: dict[str, Tensor] | None) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
-from conveyor.files import check_folder, remove_partials
+from conveyor.files import remove_partials
 from conveyor.formats.potatotwin.layout import is_potatotwin
 from conveyor.formats.potatotwin.resting import level_of
 from conveyor.resting import RestingLevel
@@ -26,7 +26,7 @@ from regressor.network.networks import Network
 from regressor.network.sidecar import InputSpec, Range, Sidecar, checked_name
 from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
-from regressor.training.beginning import begun_state, check_out, check_views, parts_of, start_weights
+from regressor.training.beginning import alone_in, begun_state, check_out, check_views, parts_of, start_weights
 from regressor.training.begun import digest_of
 from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
 from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset
@@ -92,17 +92,19 @@ def train(
     """Train, calibrate, write `weights.safetensors` with its sidecar; the sidecar.
 
     Raises:
-        InputError: data that cannot be used, a state to resume that is not there, or a folder that cannot be written.
+        InputError: data that cannot be used, a state to resume that is not there, or a folder that holds weights
+            already. OutputError: another process trains there.
     """
     keep_memory()
     state = options.out / STATE
-    check_out(state, resume=options.resume)
+    check_out(state, options.out / WEIGHTS, resume=options.resume)
     usable_device(settings.device)
     check_views(options.data, options.validation, settings)
     start = start_weights(options.start, settings)
-    begun = begun_state(state, settings, start) if options.resume else None
-    check_folder(options.out, option="--out")
-    _train(options, settings, begun, start, on_prepared=on_prepared, on_step=on_step, on_validated=on_validated)
+    with alone_in(options.out):
+        check_out(state, options.out / WEIGHTS, resume=options.resume)  # another one may have ended there since
+        begun = begun_state(state, settings, start) if options.resume else None
+        _train(options, settings, begun, start, on_prepared=on_prepared, on_step=on_step, on_validated=on_validated)
     return read_weights(options.out / WEIGHTS)[1]
 
 

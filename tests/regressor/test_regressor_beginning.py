@@ -1,4 +1,4 @@
-"""What a training is refused for before it prepares a view."""
+"""What a training is refused for before it prepares a view, and what it leaves in its folder."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, OutputError
 from regressor.network.checkpoint import save_checkpoint
 from regressor.network.pointraft import PointRaft
 from regressor.network.sidecar import Sidecar
+from regressor.training.beginning import alone_in
 from regressor.training.recipe import TrainSettings
 from regressor.training.run import RunOptions, train
 from tests.regressor.ellipsoids import write_pack
@@ -31,6 +32,30 @@ def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _options(packs: Path, out: Path) -> RunOptions:
     return RunOptions(packs / "train", packs / "val", out, "x", False, 9.0, 9.0, 200, "tuberline train")
+
+
+def test_two_trainings_share_no_folder(packs: Path, tmp_path: Path) -> None:
+    """Both wrote one state, one log and one file of weights: what was left was of either, by chance."""
+    out = tmp_path / "out"
+    with alone_in(out), pytest.raises(OutputError, match=r"another process trains in .*out: wait .*another --out"):
+        train(_options(packs, out), ONE_STEP, **SILENT)
+    assert list(out.iterdir()) == []
+    train(_options(packs, out), ONE_STEP, **SILENT)
+    before = (out / "state.pt").read_bytes()
+    with alone_in(out), pytest.raises(OutputError, match="another process trains"):
+        train(replace(_options(packs, out), resume=True), ONE_STEP, **SILENT)
+    assert (out / "state.pt").read_bytes() == before
+
+
+def test_weights_without_a_state_are_not_overwritten(packs: Path, tmp_path: Path) -> None:
+    """A variant of `ablate`, or a training whose state was taken away for its size, was trained over without a word."""
+    out = tmp_path / "out"
+    save_checkpoint(out / "weights.safetensors", PointRaft().state_dict(), Sidecar(name="kept"))
+    before = (out / "weights.safetensors").read_bytes()
+    with pytest.raises(InputError, match=r"already holds weights.safetensors, which .* overwrite: give another --out"):
+        train(_options(packs, out), ONE_STEP, **SILENT)
+    assert (out / "weights.safetensors").read_bytes() == before
+    assert sorted(path.name for path in out.iterdir()) == ["weights.json", "weights.safetensors"]
 
 
 @pytest.mark.parametrize(
