@@ -7,34 +7,51 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 from safetensors.torch import save as save_safetensors
 from torch import Tensor, nn
 
-from conveyor.files import replacing
+from conveyor.files import cause, fault_of, replacing
 from regressor.network.pointraft import PointRaft
 from regressor.network.sidecar import FORMAT, Sidecar
 from regressor.network.stored import State, embeds_height, load_weights, read_weights
 
 
 def save_checkpoint(path: Path, state: dict[str, Tensor], sidecar: Sidecar) -> Sidecar:
-    """Write `path` (.safetensors) and its sidecar (.json), each atomically; the sidecar with its hash filled in."""
+    """Write `path` (.safetensors) and its sidecar (.json), together or not at all; the sidecar with its hash filled in.
+
+    Raises:
+        InputError: they cannot be written. OutputError: their disk is full, read-only, away or reports errors.
+    """
     data = save_safetensors({name: value.cpu().contiguous() for name, value in state.items()}, {"format": FORMAT})
     text = _text(sidecar.model_copy(update={"sha256": hashlib.sha256(data).hexdigest()}))
     again = Sidecar.model_validate_json(text)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _replace(path, data)
-    _replace(path.with_suffix(".json"), text.encode())
+    with _written(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as tensors, replacing(path.with_suffix(".json")) as told:
+            for file, content in ((tensors, data), (told, text.encode())):
+                file.write(content)
+                # Both are on the disk before either takes its place: weights beside a former sidecar are no use.
+                file.flush()
+                os.fsync(file.fileno())
     return again
 
 
 def save_sidecar(path: Path, sidecar: Sidecar) -> Sidecar:
-    """Write the sidecar (.json) of the weights at `path`, atomically; as it is read again. The tensors stay."""
+    """Write the sidecar (.json) of the weights at `path`, atomically; as it is read again. The tensors stay.
+
+    Raises:
+        InputError, OutputError: as `save_checkpoint`.
+    """
     text = _text(sidecar)
     again = Sidecar.model_validate_json(text)  # before the old one is gone: it must be readable
-    _replace(path.with_suffix(".json"), text.encode())
+    with _written(path.with_suffix(".json")), replacing(path.with_suffix(".json")) as file:
+        file.write(text.encode())
     return again
 
 
@@ -42,9 +59,13 @@ def _text(sidecar: Sidecar) -> str:
     return json.dumps(sidecar.model_dump(mode="json"), indent=1, allow_nan=False)
 
 
-def _replace(path: Path, data: bytes) -> None:
-    with replacing(path) as file:
-        file.write(data)
+@contextmanager
+def _written(path: Path) -> Iterator[None]:
+    """What the operating system refuses, in words."""
+    try:
+        yield
+    except OSError as error:
+        raise fault_of(error, f"{path} cannot be written: {cause(error)}") from error
 
 
 def load_checkpoint(path: Path | None = None, *, any_target: bool = False) -> tuple[PointRaft, Sidecar]:

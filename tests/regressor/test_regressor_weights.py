@@ -56,6 +56,19 @@ def test_a_sidecar_that_could_not_be_read_again_is_not_written(tmp_path: Path) -
     assert load_checkpoint(path)[1] == sidecar
 
 
+@pytest.mark.parametrize("ending", [".safetensors", ".json"])
+def test_weights_and_sidecar_are_written_together_or_not_at_all(tmp_path: Path, ending: str) -> None:
+    """A disk that was full after the tensors left them beside the former sidecar: neither could be used any more."""
+    path = scaled_weights(tmp_path / "own.safetensors", 1.0)
+    sidecar = load_checkpoint(path)[1]
+    before = path.read_bytes()
+    path.with_suffix(f"{ending}.partial").mkdir()  # where the new one would be written
+    with pytest.raises(InputError, match=r"own.safetensors cannot be written: Is a directory"):
+        scaled_weights(path, 2.0)
+    assert path.read_bytes() == before
+    assert load_checkpoint(path)[1] == sidecar
+
+
 def test_a_parcel_gives_back_file_and_sidecar(tmp_path: Path) -> None:
     parcel = read_parcel(SHIPPED)
     assert parcel == read_parcel(SHIPPED), "the same weights have the same name everywhere"
