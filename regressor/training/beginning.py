@@ -37,19 +37,20 @@ def alone_in(folder: Path) -> Iterator[None]:
         InputError: it cannot be made or written. OutputError: its disk is full, or another process trains in it.
     """
     fresh = not folder.exists()
-    check_folder(folder, option="--out")
-    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        with suppress(OSError):
-            _take(lock, folder)
-        yield
+        check_folder(folder, option="--out")
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            with suppress(OSError):
+                _take(lock, folder)
+            yield
+        finally:
+            os.close(lock)
     except BaseException:
         if fresh:
             with suppress(OSError):  # something lies in it
                 folder.rmdir()
         raise
-    finally:
-        os.close(lock)
 
 
 def _take(lock: int, folder: Path) -> None:

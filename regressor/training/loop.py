@@ -21,6 +21,7 @@ from regressor.training.train import Training
 
 NEEDED = {"settings", "model", "average", "optimiser", "rng", "torch_rng", "progress"}
 """What a state holds at least, whichever version wrote it."""
+LOG = "log.csv"
 LOG_FIELDS = ("minutes", "step", "epoch", "share", "neighbours", "centroids", "lr", "loss", "val_loss", "val_mae_g")
 
 
@@ -41,6 +42,8 @@ def run_training(
         on_validated: called with the model, its validation predictions and whether it is the best so far.
         on_step: called after every step.
     """
+    if training.progress.step == 0:
+        (out / LOG).unlink(missing_ok=True)  # of one that ended before its first state
     next_save = time.monotonic() + 60 * save_minutes
     next_validation = time.monotonic() + 60 * validate_minutes
     while training.share < 1.0:
@@ -72,24 +75,30 @@ def _validate(
     progress = training.progress
     best = loss < progress.best_loss if training.settings.best_epoch else mae < progress.best_mae_g
     progress.best_mae_g, progress.best_loss = min(mae, progress.best_mae_g), min(loss, progress.best_loss)
-    _log(training, out / "log.csv", loss, mae)
+    _log(training, out / LOG, loss, mae)
     on_validated(model, predicted, best)
     return model
 
 
 def _log(training: Training, path: Path, val_loss: float, val_mae_g: float) -> None:
+    """One more row of the log, which is written whole: a full disk leaves the former one."""
     progress, share = training.progress, training.share
     resolution = training.settings.resolution(share)
-    fresh = not path.is_file()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        if fresh:
-            writer.writerow(LOG_FIELDS)
-        epoch, rate = training.epoch, training.settings.learning_rate(share)
-        figures = (share, resolution.neighbours, resolution.centroids, rate, progress.loss, val_loss, val_mae_g)
-        writer.writerow(
-            [f"{progress.seconds / 60:.2f}", progress.step, f"{epoch:.3f}", *(f"{value:.5g}" for value in figures)]
-        )
+    rows = _rows_before(path, progress.step)
+    epoch, rate = training.epoch, training.settings.learning_rate(share)
+    figures = (share, resolution.neighbours, resolution.centroids, rate, progress.loss, val_loss, val_mae_g)
+    rows.append([f"{progress.seconds / 60:.2f}", str(progress.step), f"{epoch:.3f}", *(f"{v:.5g}" for v in figures)])
+    with whole_output(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([LOG_FIELDS, *rows])
+
+
+def _rows_before(path: Path, step: int) -> list[list[str]]:
+    """The log's rows of earlier steps: a training that goes on from a state logs anew what it had logged after it."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        rows = [row for row in csv.reader(file) if len(row) == len(LOG_FIELDS)]
+    return [row for row in rows if row[1].isdecimal() and int(row[1]) < step]
 
 
 def save_state(training: Training, path: Path) -> None:

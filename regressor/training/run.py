@@ -30,7 +30,7 @@ from regressor.training.beginning import alone_in, begun_state, check_out, check
 from regressor.training.begun import digest_of
 from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
 from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset
-from regressor.training.loop import run_training
+from regressor.training.loop import LOG, run_training
 from regressor.training.plausible import refused_told
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training
@@ -126,7 +126,7 @@ def _train(
         training.start_from(start, where=str(options.start))
     if begun is not None:
         training.restore(begun)
-    for name in (WEIGHTS, LATEST, STATE):
+    for name in (WEIGHTS, LATEST, STATE, LOG):
         remove_partials(options.out, name)
     remove_partials(options.out / "cache", "clouds-*")
 

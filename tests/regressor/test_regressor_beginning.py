@@ -13,8 +13,10 @@ from regressor.network.checkpoint import save_checkpoint
 from regressor.network.pointraft import PointRaft
 from regressor.network.sidecar import Sidecar
 from regressor.training.beginning import alone_in
+from regressor.training.loop import save_state
 from regressor.training.recipe import TrainSettings
-from regressor.training.run import RunOptions, train
+from regressor.training.run import RunOptions, load_sets, train
+from regressor.training.train import Training
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.twin_folder import write_twin
 
@@ -112,3 +114,20 @@ def test_one_folder_for_both_is_said_to_have_no_parts(packs: Path, tmp_path: Pat
     with pytest.raises(InputError, match=r"are both .*crop, .*`tuberline split .*crop` shares its tubers out"):
         train(crop, ONE_STEP, **SILENT)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_log_has_each_step_once_though_its_training_was_killed(packs: Path, tmp_path: Path) -> None:
+    """What was validated after the last state stood there twice, so that the steps of a log fell back."""
+    out, whole = tmp_path / "out", replace(ONE_STEP, epochs=2.0, best_epoch=True)  # validates after each epoch
+    begun = _options(packs, out)
+    train(begun, whole, **SILENT)
+    full = (out / "log.csv").read_text(encoding="utf-8").splitlines()
+    assert [line.split(",")[1] for line in full] == ["step", "2", "4"]
+    killed = tmp_path / "killed"
+    early = Training(*load_sets(replace(begun, out=killed), SILENT["on_prepared"]), whole)
+    early.step()
+    save_state(early, killed / "state.pt")
+    (killed / "log.csv").write_text("\n".join([full[0], full[1], full[1][:9]]), encoding="utf-8")
+    train(replace(begun, out=killed, resume=True), whole, **SILENT)
+    again = (killed / "log.csv").read_text(encoding="utf-8").splitlines()
+    assert [line.split(",")[1:] for line in again] == [line.split(",")[1:] for line in full]  # minutes are the clock's
