@@ -4,10 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 MOST_COLUMNS = 16
 """Of a point: x, y, z, a colour, a normal and the like. What has more both ways is an image."""
+
+UNMASKED = "cloud[~np.ma.getmaskarray(cloud).any(axis=1)].data, the points without one"
+
+
+def masked_fault(array: Any, instead: str) -> str:
+    """In words, that values of `array` are masked, which are read as if they were not, and to take `instead`; empty
+    where none are.
+    """
+    if not np.ma.is_masked(array):
+        return ""
+    return f"a masked array, {int(np.ma.getmaskarray(array).sum())} of its values masked: take {instead}"
 
 
 def cloud_fault(array: NDArray[Any]) -> str:

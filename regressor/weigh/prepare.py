@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from conveyor.crop_depth import clean_depth, fill_holes, filled_rows, in_parts, is_parted, pixel_width_m, step_units
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
-from conveyor.formats.cloud_shape import cloud_fault
+from conveyor.formats.cloud_shape import UNMASKED, cloud_fault, masked_fault
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.kernels import kernel
 from conveyor.messages import View
@@ -222,7 +222,7 @@ def prepare_cloud(
         given = np.asarray(points_in_camera)
     except (TypeError, ValueError) as error:  # lists of different lengths
         raise RefusedCloud("not_a_cloud", str(error)) from error
-    if fault := cloud_fault(given):
+    if fault := masked_fault(points_in_camera, UNMASKED) or cloud_fault(given):
         raise RefusedCloud("not_a_cloud", f"given is {fault}")
     points = given.astype(np.float64)
     if not len(points):

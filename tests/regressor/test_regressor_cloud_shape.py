@@ -60,6 +60,28 @@ def test_what_is_no_array_is_no_cloud(tmp_path: Path) -> None:
         files_within([tmp_path / "texts"])
 
 
+def test_masked_values_are_not_read_as_if_they_were_there() -> None:
+    """NumPy's mask fell off: points that their owner had masked out were weighed."""
+    cloud = np.random.default_rng(1).uniform(-0.02, 0.02, (60, 3)) + np.array([0.0, 0.0, 0.32])
+    hidden = np.ma.masked_array(cloud, mask=np.zeros(cloud.shape, bool))
+    whole = prepare_cloud(hidden, belt_distance_m=0.345)  # nothing is masked
+    assert np.array_equal(whole.points, prepare_cloud(cloud, belt_distance_m=0.345).points)
+    hidden[7, 2] = np.ma.masked
+    with pytest.raises(RefusedCloud, match=r"a masked array, 1 of its values masked: take cloud\[~np.ma") as refusal:
+        prepare_cloud(hidden, belt_distance_m=0.345)
+    assert refusal.value.reason == "not_a_cloud"
+    k = tuberline.Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
+    depth, inside = np.full((48, 64), 300, np.uint16), np.ones((48, 64), bool)
+    half = np.zeros((48, 64), bool)
+    half[:10] = True
+    for image, mask, words in (
+        (np.ma.masked_array(depth, mask=half), inside, r"depth is a masked array, 640 .*: take depth.filled\(0\)"),
+        (depth, np.ma.masked_array(inside, mask=half), r"mask is a masked array, 640 .*: take mask.filled\(False\)"),
+    ):
+        with pytest.raises(tuberline.TuberlineError, match=words):
+            tuberline.weigh_depth(image, mask=mask, intrinsics=k, depth_scale_m=0.001, belt_distance_m=0.345)
+
+
 def test_what_is_no_image_is_told_how_to_become_one() -> None:
     k = tuberline.Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
     depth = np.full((48, 64), 300, np.uint16)

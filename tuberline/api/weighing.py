@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from conveyor.camera_flags import CUT
 from conveyor.errors import InputError
+from conveyor.formats.cloud_shape import masked_fault
 from conveyor.formats.clouds import read_cloud
 from conveyor.geometry import Intrinsics, at_border, box_around, straight_down_belt_from_camera
 from conveyor.geometry import belt_distance_m as distance_of
@@ -307,6 +308,9 @@ def _check_image(depth: Any, mask: Any, intrinsics: Any, u0: int, v0: int) -> No
         raise InputError(
             f"intrinsics are {_told(intrinsics)}; expected tuberline.Intrinsics(width=..., height=..., ...)"
         )
+    for name, array, none in (("depth", depth, 0), ("mask", mask, False)):
+        if fault := masked_fault(array, f"{name}.filled({none})"):
+            raise InputError(f"{name} is {fault}")
     (rows, columns), k = depth.shape, intrinsics
     if not (holds(u0, (0, k.width - columns), whole=True) and holds(v0, (0, k.height - rows), whole=True)):
         raise InputError(
