@@ -264,6 +264,14 @@ def test_prepared_inputs_give_the_networks_grams(view: View) -> None:
     assert weight.network_g == pytest.approx(grams.item(), abs=0.01)
 
 
+def test_what_weigh_refuses_is_not_prepared(view: View) -> None:
+    """A cloud that floats above its belt was prepared, its height clamped: an exported network weighed it."""
+    for belt_distance_m in (0.9, 2.0):
+        for take in (tuberline.weigh, tuberline.prepare):
+            with pytest.raises(tuberline.TuberlineError, match=r"the cloud: its nearest point is 0\.\d+ m from"):
+                take(cloud_of(view), belt_distance_m=belt_distance_m)
+
+
 def test_a_recording_is_read_frame_by_frame_and_a_bad_frame_is_not_passed_over(recording: Path, tmp_path: Path) -> None:
     import shutil
 

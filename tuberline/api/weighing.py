@@ -266,6 +266,7 @@ def prepare(
     """
     in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
     prepared = _prepared(cloud, belt_distance_m, resting_offset_mm)
+    _check_place(prepared)
     sidecar = _loaded(weights).sidecar
     count = min(len(prepared.points), sidecar.input.points)
     if sidecar.start.kind == "prefix":
@@ -359,11 +360,15 @@ def _image_of(depth: Any) -> str:
     return ""
 
 
+def _check_place(prepared: PreparedCloud) -> None:
+    """Refuse a cloud that floats above its belt or hardly rises above it."""
+    if fault := distance_fault(prepared):
+        raise InputError(f"the cloud: {fault}")
+
+
 def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None, resting_sd_mm: float = 0.0) -> Weight:
     in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
-    fault = distance_fault(prepared)
-    if fault:
-        raise InputError(f"the cloud: {fault}")
+    _check_place(prepared)
     found = _loaded(weights).weigher.weigh(prepared, belt_sd_m=belt_sd_mm / 1000, resting_sd_m=resting_sd_mm / 1000)
     return Weight(
         weight_g=found.weight_g,
