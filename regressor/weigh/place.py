@@ -13,6 +13,9 @@ LOWEST_TOP_M, HIGHEST_RIM_M = 0.003, 0.12
 """No tuber is flatter than the first; none on a belt, and on tubers whose height is known, shows nothing below the
 second."""
 
+OTHER_UNIT = 30
+"""So many times as far away as its belt a cloud is in another unit: in centimetres it is 100 times too far."""
+
 
 def distance_fault(cloud: PreparedCloud) -> str:
     """What is wrong with a cloud that floats high above its belt or hardly rises above it; empty where nothing is."""
@@ -26,7 +29,10 @@ def distance_fault(cloud: PreparedCloud) -> str:
 def distances_told(nearest_m: float, belt_distance_m: float, resting_offset_m: float) -> str:
     """For people: how near a cloud comes to the camera, where its belt is, and what to check."""
     offset = f" (resting offset {1e3 * resting_offset_m:g} mm)" if resting_offset_m else ""
+    far = nearest_m > OTHER_UNIT * belt_distance_m
+    unit = "clouds are in metres, so divide one in millimetres by 1000; else " if far else ""
     return (
-        f"its nearest point is {nearest_m:.3f} m from the camera and the belt {belt_distance_m:.3f} m{offset}: check "
+        f"its nearest point is {nearest_m:.3f} m from the camera and the belt {belt_distance_m:.3f} m{offset}: "
+        f"{unit}check "
         "--belt-distance-m and the depth scale (--depth-scale-m: 0.001 for 1 mm units, 0.0001 for the D405's own)"
     )

@@ -133,6 +133,14 @@ def test_what_cannot_be_weighed_is_refused_in_words(view: View) -> None:
     cloud = cloud_of(view)
     refusals = {
         "belt_distance_m is 345": lambda: tuberline.weigh(cloud, belt_distance_m=345),
+        "belt_distance_m is '0.345', which is no number; allowed is 0.05 to 5": lambda: tuberline.weigh(
+            cloud,
+            belt_distance_m="0.345",  # type: ignore[arg-type]
+        ),
+        "is 289[.0-9]* m from .* clouds are in metres, so divide one in millimetres by 1000": lambda: tuberline.weigh(
+            cloud * 1000, belt_distance_m=0.345
+        ),
+        "path is int; give that of a file of weights": lambda: tuberline.load_weights(5),  # type: ignore[arg-type]
         "belt_sd_mm is -1": lambda: tuberline.weigh(cloud, belt_distance_m=0.345, belt_sd_mm=-1),
         "fewer than 30 points": lambda: tuberline.weigh(cloud[:20], belt_distance_m=0.345),
         "not an array of shape": lambda: tuberline.weigh(cloud[:, :2], belt_distance_m=0.345),

@@ -18,6 +18,14 @@ def holds(value: Any, bounds: tuple[float, float], *, whole: bool = False) -> bo
         return False
 
 
+def is_number(value: Any) -> bool:
+    """One real number, NaN included; neither text nor an array of several."""
+    try:
+        return bool(np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu")
+    except ValueError:  # lists of different lengths
+        return False
+
+
 def in_range(name: str, value: float, bounds: tuple[float, float], *, whole: bool = False) -> float:
     """The value of the argument `name`, where it is allowed.
 
@@ -26,5 +34,6 @@ def in_range(name: str, value: float, bounds: tuple[float, float], *, whole: boo
     """
     if not holds(value, bounds, whole=whole):
         low, high = bounds
-        raise InputError(f"{name} is {value}; allowed is {low:g} to {high:g}{', a whole number' if whole else ''}")
+        given = f"{value}" if is_number(value) else f"{value!r}, which is no number"
+        raise InputError(f"{name} is {given}; allowed is {low:g} to {high:g}{', a whole number' if whole else ''}")
     return value

@@ -144,6 +144,8 @@ def load_weights(path: str | Path | None = None) -> Weights:
     Raises:
         TuberlineError: missing, unreadable, damaged, or weights of another network or of another target.
     """
+    if path is not None and not isinstance(path, str | Path):
+        raise InputError(f"path is {_told(path)}; give that of a file of weights, or None for the shipped ones")
     state, sidecar = stored.load_weights(Path(path) if path is not None else None)
     return Weights(sidecar, Weigher(state, sidecar))
 
