@@ -25,6 +25,8 @@ from conveyor.resting import RestingLevel
 from regressor.training.plausible import check_place
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 
+SAME_WEIGHT = 0.1
+"""By so much of it two weights of one tuber may differ: one that dries out is weighed again."""
 Resting = Literal["calibrated", "stated"]
 """Which resting level a simulated view is read with. 'stated': as its user would state it, known or not. 'calibrated':
 as a calibration finds it, the mean level of the recording's undersides, with soil under them and play between rods, and
@@ -178,16 +180,35 @@ def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = 
     """All labelled views of `folder`, in a fixed order. `split` selects by splits.csv (3DPotatoTwin only).
 
     Raises:
-        InputError: unknown layout, unreadable shard, missing key.
+        InputError: unknown layout, unreadable shard, missing key, or two tubers of one number.
     """
     files = labelled_files(folder, split=split)
     if files[0].suffix == ".npz":
+        first: dict[str, tuple[float, Path]] = {}
         for shard in files:
-            yield from _read_shard(shard, resting)
+            for packed in _read_shard(shard, resting):
+                _check_same(packed, shard, first)
+                yield packed
     else:
         level = twin_resting(folder)
         for view in read_twin(folder, split=split):
             yield _from_twin(view, level)
+
+
+def _check_same(view: LabelledView, shard: Path, first: dict[str, tuple[float, Path]]) -> None:
+    """Refuse two tubers of one number, as where packs that each count from 0 were put together: both would be taken for
+    one. `first`: of each tuber the weight in grams and the shard that it was met with.
+
+    Raises:
+        InputError: with both weights.
+    """
+    weight_g, where = first.setdefault(view.tuber, (view.weight_g, shard))
+    if abs(view.weight_g - weight_g) > SAME_WEIGHT * weight_g:
+        raise InputError(
+            f"shard {shard}: tuber {view.tuber.rpartition('/')[2]} weighs {view.weight_g:.4g} g, and {weight_g:.4g} g "
+            f"in {where.name} before: give each tuber of a pack a number of its own, or put packs into folders side by "
+            "side"
+        )
 
 
 def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:

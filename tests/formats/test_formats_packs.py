@@ -121,6 +121,10 @@ def test_a_newer_view_pack_is_refused_by_name_and_number(tmp_path: Path) -> None
         (lambda a: a.update(belt_distance_m=np.zeros(7)), r"array 'belt_distance_m' has shape \(7,\); 2 rows"),
         (lambda a: a["depth_offset"].__setitem__(1, 3), r"view 0: 3 depths for a crop of 5x4"),
         (lambda a: a.update(notes=np.zeros(9)), r"array 'notes' has shape \(9,\); 2 rows"),
+        (lambda a: a.update(intrinsics=a["intrinsics"][:, :3]), r"'intrinsics' has shape \(2, 3\); \(2, 4\) is needed"),
+        (lambda a: a.update(crop=np.zeros(2)), r"'crop' has shape \(2,\); \(2, 4\) is needed"),
+        (lambda a: a.update(tuber=np.array(["A1", "A2"])), r"'tuber' is <U2; allowed are whole numbers, the same in"),
+        (lambda a: a.update(tuber=np.array([1.2, 1.7])), r"'tuber' is float64; allowed are whole numbers"),
         (lambda a: a.update(crop=np.full((2, 4), np.inf)), r"view 0: cannot convert float infinity"),
         (lambda a: a.update(depth=np.array(3, np.uint16)), r"view 0: too many indices"),
         (lambda a: a.update(depth=a["depth"] * np.nan), r"'depth' is float64; allowed are whole units of depth"),
@@ -141,6 +145,18 @@ def test_shards_that_contradict_themselves_are_refused(tmp_path: Path, change: o
     shard.write_bytes(shard.read_bytes()[:200])
     with pytest.raises(InputError, match="cannot be read"):
         list(read_views(shard))
+
+
+def test_two_tubers_of_one_number_are_refused(tmp_path: Path) -> None:
+    """Shards of two packs that both count from 0 were taken for more views of the same tubers: per tuber, and for what
+    an interval counts as independent, each was the mean of two.
+    """
+    _view_pack(tmp_path, [_view(0), _view(1), _view(2)])  # 100 and 101 g are of one tuber
+    assert [view.tuber.rpartition("/")[2] for view in read_labelled(tmp_path)] == ["0", "0", "1"]
+    other = _view_pack(tmp_path / "other", [replace(_view(0), weight_g=160.0)])
+    (other / "views-00000.npz").rename(tmp_path / "views-00001.npz")
+    with pytest.raises(InputError, match=r"views-00001.npz: tuber 0 weighs 160 g, and 100 g in views-00000.npz before"):
+        list(read_labelled(tmp_path))
 
 
 def _belt(n: int) -> PackedBelt:

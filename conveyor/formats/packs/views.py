@@ -48,6 +48,7 @@ ARRAYS = (
     NamedArray("season", "(n,)", "its year", needed=False),
     NamedArray("v_centre", "(n,)", "image row of the tuber's centre, pixels", needed=False),
 )
+_COLUMNS = {"crop": 4, "intrinsics": 4, "image_size": 2}
 _KNOWN = {array.name for array in ARRAYS}
 _ALLOWED = {
     "depth_scale_m": (1e-6, 1.0, "metres per unit of depth"),
@@ -116,6 +117,17 @@ def read_views(shard: Path) -> Iterator[PackedView]:
         rows = count + 1 if name == "depth_offset" else count
         if name != "depth" and (array.ndim == 0 or len(array) != rows):
             raise InputError(f"shard {shard}: array '{name}' has shape {array.shape}; {rows} rows are needed")
+    for name, columns in _COLUMNS.items():
+        if data[name].shape != (count, columns):
+            raise InputError(
+                f"shard {shard}: array '{name}' has shape {data[name].shape}; ({count}, {columns}) is needed"
+            )
+    tuber = data["tuber"]
+    if tuber.dtype.kind not in "iuf" or not (tuber == np.round(tuber)).all():
+        raise InputError(
+            f"shard {shard}: array 'tuber' is {tuber.dtype}; allowed are whole numbers, the same in all "
+            "views of a tuber"
+        )
     depth = data["depth"]
     if depth.dtype != np.uint16 and not (depth.dtype.kind in "ui" and ((depth >= 0) & (depth < 1 << 16)).all()):
         raise InputError(f"shard {shard}: array 'depth' is {depth.dtype}; allowed are whole units of depth, 0 to 65535")
