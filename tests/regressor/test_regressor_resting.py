@@ -20,6 +20,7 @@ from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.resting import RestingLevel, ellipse_sink_m
 from regressor.training.labelled import read_labelled
 from tests.regressor.ellipsoids import ellipsoid_view
+from tests.regressor.twin_folder import write_twin
 from tuberline.cli.simulate_views import simulate_views
 
 
@@ -98,3 +99,18 @@ def test_a_belt_whose_load_lies_on_its_plane_is_known_as_well_as_its_distance(tm
         views = list(read_labelled(tmp_path / preset))
         assert views
         assert all((view.level_sd_m == view.belt_sd_m) == alike for view in views), preset
+
+
+def test_blanks_after_the_commas_of_a_table_change_nothing(tmp_path: Path) -> None:
+    """' belt_distance_m' was another column than the one that is read: the season's distance was taken, and the level
+    that the table stated was not.
+    """
+    write_twin(tmp_path, tubers=2, more={"resting_offset_mm": ["2", "2"], "resting_sd_mm": ["0.5", "0.5"]})
+    table = tmp_path / "ground_truth.csv"
+    plain = table.read_text(encoding="utf-8").replace("2026", "2023")  # whose own distance is another one
+    read = []
+    for text in (plain, plain.replace(",", ", ")):
+        table.write_text(text, encoding="utf-8")
+        read.append([(v.belt_distance_m, v.resting_offset_m, v.weight_g, v.season) for v in read_labelled(tmp_path)])
+    assert read[0] == read[1]
+    assert {view[:2] for view in read[1]} == {(0.42, 0.002)}

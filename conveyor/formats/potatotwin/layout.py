@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from conveyor.errors import InputError
 
@@ -220,10 +221,10 @@ def _measured(text: str | None) -> float | None:
 
 
 def _rows(path: Path, *needed: str) -> Iterator[dict[str, str]]:
-    """Rows of a table with the column label and all that are `needed`; a byte-order mark is left out."""
+    """Rows of a table with the column label and all that are `needed`."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
+            reader = table_reader(file)
             has = reader.fieldnames or ()
             if missing := [name for name in ("label", *needed) if name not in has]:
                 raise InputError(
@@ -234,6 +235,17 @@ def _rows(path: Path, *needed: str) -> Iterator[dict[str, str]]:
         raise InputError(f"table {path} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"table {path} is not CSV text: {error}; save it as CSV in UTF-8") from error
+
+
+def table_reader(file: TextIO) -> csv.DictReader[str]:
+    """Rows by the names of their columns, without the blanks that some write after each comma.
+
+    Raises:
+        csv.Error: as `csv.reader`.
+    """
+    reader = csv.DictReader(file)
+    reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+    return reader
 
 
 def _separated(columns: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from conveyor.errors import InputError
-from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, TRUTH, is_potatotwin
+from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, TRUTH, is_potatotwin, table_reader
 from conveyor.resting import POTATOTWIN, RestingLevel
 from conveyor.stated import RESTING_OFFSET_MM, RESTING_SD_MM
 
@@ -54,7 +54,7 @@ def _read(table: Path) -> tuple[list[str], list[tuple[str, str]]]:
     """(names of the columns, both texts of each row)."""
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file)
+            rows = table_reader(file)
             told = [(row.get(OFFSET) or "", row.get(SD) or "") for row in rows]
             return list(rows.fieldnames or ()), told
     except OSError as error:

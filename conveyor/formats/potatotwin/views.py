@@ -188,8 +188,9 @@ def _view(folder: Path, view: ViewFile, truth: TruthRow, camera: tuple[Intrinsic
 def _known(folder: Path, view: ViewFile, truth: TruthRow) -> tuple[float, float]:
     """(belt distance in metres, weight in grams), without which nothing can be learnt from a view."""
     if truth.belt_distance_m is None:
+        known = ", ".join(f"{season} ({distance_m:g} m)" for season, distance_m in BELT_DISTANCES_M.items())
         raise InputError(
-            f"{view.path}: growing season '{truth.season}' has no known belt distance; known: {BELT_DISTANCES_M}; "
+            f"{view.path}: growing season '{truth.season}' has no known belt distance; known are {known}; "
             f"another one stands in a column belt_distance_m of {TRUTH}"
         )
     if truth.weight_g is None:
