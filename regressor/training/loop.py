@@ -93,7 +93,7 @@ def _log(training: Training, path: Path, val_loss: float, val_mae_g: float) -> N
 
 
 def _rows_before(path: Path, step: int) -> list[list[str]]:
-    """The log's rows of earlier steps: a training that goes on from a state logs anew what it had logged after it."""
+    """The log's rows of earlier steps: a training that goes on from a state logs once more what came after it."""
     if not path.is_file():
         return []
     with path.open(newline="", encoding="utf-8", errors="replace") as file:

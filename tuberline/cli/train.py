@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,10 +12,13 @@ from cyclopts import Parameter
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed, within
+from tuberline.cli.stoppable import leave, stoppable
 from tuberline.cli.twin_told import tell_twin
 
 if TYPE_CHECKING:
     from regressor.network.sidecar import Sidecar
+    from regressor.training.recipe import TrainSettings
+    from regressor.training.run import RunOptions
 
 
 def train(
@@ -46,6 +50,8 @@ def train(
     target: Literal["weight_g", "volume_ml", "length_mm"] = "weight_g",
 ) -> None:
     """Train PointRAFT; writes weights.safetensors with its sidecar, log.csv and a state to resume from.
+
+    Ctrl-C ends it with 130 and says how old the state is that --resume goes on from.
 
     Parameters
     ----------
@@ -100,11 +106,8 @@ def train(
     target
         What is learned. A line weighs, so it takes weights for weight_g alone; `evaluate` takes all.
     """
-    import torch
-
     from regressor.training import run
     from regressor.training.recipe import recipe_named
-    from tuberline.cli.training_bar import TrainingBar
 
     _check_start(recipe, start, start_share)
     settings = recipe_named(
@@ -137,10 +140,22 @@ def train(
         start=start,
     )
     tell_twin(data, val)
+    _train(options, settings, threads)
+
+
+def _train(options: RunOptions, settings: TrainSettings, threads: int) -> None:
+    """Train, with a bar on stderr, and tell of what was made or stopped."""
+    import torch
+
+    from regressor.training import run
+    from tuberline.cli.training_bar import TrainingBar
+
     torch.set_num_threads(threads)
-    with TrainingBar() as bar:
+    with stoppable(lambda: _stopped(options.out / run.STATE)) as stopped, TrainingBar() as bar:
         sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
-    _tell(out / "weights.safetensors", sidecar)
+    if stopped.is_set():
+        leave()
+    _tell(options.out / run.WEIGHTS, sidecar)
 
 
 def _check_start(recipe: str, start: Path | None, start_share: float | None) -> None:
@@ -149,6 +164,15 @@ def _check_start(recipe: str, start: Path | None, start_share: float | None) -> 
         raise InputError(f"--start-share {start_share:g} is of the network that --start names, and none is given")
     if (recipe == "fine-tune") != (start is not None):
         raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
+
+
+def _stopped(state: Path) -> str:
+    """What a training that was stopped has left, and how to go on."""
+    try:
+        minutes = (time.time() - state.stat().st_mtime) / 60
+    except FileNotFoundError:
+        return "stopped before a first state was written (--save-minutes): no training is there to go on with"
+    return f"stopped: --resume goes on from the state in {state.parent}, which was written {minutes:.1f} min ago"
 
 
 def _tell(weights: Path, sidecar: Sidecar) -> None:
