@@ -20,6 +20,8 @@ from regressor.weigh.prepare import MAX_HEIGHT_M
 OURS = Augmentation()
 DECAY = 0.97
 """Of the paper's learning rate, an epoch."""
+MOST = 1e6
+"""Epochs, minutes (two years), clouds per step: more are a slip of the hand, and steps that cannot be counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +153,8 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
     for option in ("epochs", "minutes", "batch", "lr"):
         if (value := given.get(option)) is not None and not 0 < value < np.inf:
             raise InputError(f"--{option} is {value:g}; it must be above 0")
+        if value is not None and value > MOST:
+            raise InputError(f"--{option} is {value:g}; at most {MOST:g} is allowed")
     recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
     if name == "paper" and given.get("epochs") is not None:

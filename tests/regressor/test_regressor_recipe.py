@@ -69,6 +69,14 @@ def test_the_paper_s_rate_falls_by_its_own_step_an_epoch(epochs: float | None) -
     assert recipe_named("paper", shear=None) == TrainSettings.paper()
 
 
+@pytest.mark.parametrize("option", ["epochs", "minutes", "batch"])
+def test_a_number_that_no_one_means_is_refused(option: str) -> None:
+    """1e308 epochs are more steps than a number holds, and ended in a traceback after all views had been prepared."""
+    assert recipe_named("tuberline", shear=None, **{option: 1e6})
+    with pytest.raises(InputError, match=rf"--{option} is 1e\+308; at most 1e\+06 is allowed"):
+        recipe_named("tuberline", shear=None, **{option: 1e308})
+
+
 def test_a_share_of_the_start_needs_one() -> None:
     with pytest.raises(InputError, match=r"--start-share 0.5 is of the network that --start names"):
         train_command(data=Path("a"), val=Path("b"), out=Path("c"), start_share=0.5)
