@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.files import whole_output
 from conveyor.text_files import read_json
 from regressor.network.stored import read_weights
 from regressor.studies.alone import load_scale
@@ -82,7 +83,7 @@ def ablate(
         trained = scale.sidecar.training
         table[name] = {**figures[NETWORK], "steps": float(trained["steps"]), "hours": float(trained["hours"])}
         rules = rules or {rule: figures[rule] for rule in RULES if rule in figures}
-        _write(options.out, {**table, **rules}, _recipe_words(settings, options, test))
+        write_table(options.out, {**table, **rules}, _recipe_words(settings, options, test))
     return {**table, **rules}
 
 
@@ -140,11 +141,19 @@ def _recipe_words(settings: TrainSettings, options: RunOptions, test: Path) -> s
     )
 
 
-def _write(out: Path, table: Table, recipe: str) -> None:
-    (out / "ablation.json").write_text(
-        json.dumps({"recipe": recipe, "table": table}, indent=1) + "\n", encoding="utf-8"
-    )
-    (out / "ablation.md").write_text(markdown(table, recipe=recipe), encoding="utf-8")
+def write_table(out: Path, table: Table, recipe: str) -> None:
+    """Write ablation.json and ablation.md; where one cannot be written its former form stays.
+
+    Raises:
+        InputError: says which. OutputError: their disk is full, read-only, away or reports errors.
+    """
+    files = {
+        "ablation.json": json.dumps({"recipe": recipe, "table": table}, indent=1) + "\n",
+        "ablation.md": markdown(table, recipe=recipe),
+    }
+    for name, text in files.items():
+        with whole_output(out / name) as partial:
+            partial.write_text(text, encoding="utf-8")
 
 
 def read_table(out: Path) -> tuple[Table, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import resource
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ import torch
 
 from conveyor.errors import InputError
 from regressor.studies import drift as drifting
-from regressor.studies.ablate import RULES
+from regressor.studies.ablate import COLUMNS, RULES, VARIANTS, read_table, write_table
 from regressor.studies.drift import SHIFTS, drift, write_drift
 from regressor.studies.evaluate import LINEAR_BOX, NETWORK, SHIPPED, evaluate
 from regressor.studies.page import evaluation_page
@@ -263,3 +264,18 @@ def test_batch_norm_needs_two_clouds_unless_it_learns_nothing() -> None:
     with pytest.raises(InputError, match="--batch is 1; at least 2 clouds"):
         recipe_named("tuberline", shear=None, batch=1)
     assert recipe_named("fine-tune", shear=None, batch=1).batch == 1
+
+
+def test_a_table_that_cannot_be_written_leaves_the_former_one(tmp_path: Path) -> None:
+    """Half a table was left of hours of training, and `ablate` could not read it."""
+    figures = dict.fromkeys(COLUMNS, 1.0)
+    write_table(tmp_path, {"full": figures}, "two epochs")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
+    try:
+        with pytest.raises(InputError, match=r"ablation.json cannot be written: File too large"):
+            write_table(tmp_path, dict.fromkeys(VARIANTS, figures), "three epochs")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert read_table(tmp_path) == ({"full": figures}, "two epochs")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ablation.json", "ablation.md"]
