@@ -24,8 +24,9 @@ from regressor.training.answers import answers, asked_while_read
 from regressor.training.begun import digest_of
 from regressor.training.cloudset import CloudSet, evenly, load_cloudset
 from regressor.training.labelled import UNKNOWN, part_of
+from regressor.training.plausible import refused_told
 from regressor.training.tuber_interval import calibrate_tubers
-from regressor.training.work import Work, no_work, preparing
+from regressor.training.work import Told, Work, no_work, not_told, preparing
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate, calibrate_cameras
 from regressor.weigh.viewscale import BELT, TYPICAL_SLOPES, view_terms
@@ -220,6 +221,7 @@ def recalibrate(
     max_views: int | None,
     compute: torch.dtype | None = None,
     on_work: Work = no_work,
+    on_left_out: Told = not_told,
 ) -> Sidecar:
     """Calibrate saved weights again on the views of `data` and write their sidecar; the tensors stay as they are.
 
@@ -240,6 +242,8 @@ def recalibrate(
         progress=preparing(data, on_work, split=split),
     )
     views = views.with_target(sidecar.target)
+    if left_out := refused_told(views.refused, views.refused_first):
+        on_left_out(data, left_out)
     check_unlearned(views, sidecar, f"{data} is what {weights} were trained on", "intervals would be too narrow")
     views = evenly(views, max_views)
     network_g = answers(model, sidecar, views, compute=compute, on_work=on_work)

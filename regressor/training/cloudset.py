@@ -183,6 +183,13 @@ def load_cloudset(
     return evenly(joined([_load_pack(pack, split, cache, keep, asked, progress) for pack in packs]), max_views)
 
 
+def without(data: CloudSet, rows: NDArray[np.bool_], reason: str) -> CloudSet:
+    """The other rows; these are counted as refused."""
+    if not rows.any():
+        return data
+    return replace(data.subset(~rows), refused={**data.refused, reason: int(rows.sum())})
+
+
 def evenly(data: CloudSet, most: int | None) -> CloudSet:
     """So many views at most, evenly over the set; None is all of them."""
     if most is None or most >= len(data):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from regressor.studies.metrics import scores
 from regressor.training.beginning import alone_in, begun_state, check_out, check_views, parts_of, start_weights
 from regressor.training.begun import digest_of
 from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
-from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset
+from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset, without
 from regressor.training.loop import LOG, run_training
 from regressor.training.plausible import refused_told
 from regressor.training.recipe import TrainSettings
@@ -176,13 +176,6 @@ def load_sets(
     if shared.all():
         raise InputError(f"every tuber of {options.data} is also in {options.validation}: nothing is left to train on")
     return clean_views(without(data, shared, "in_validation"), options.data), validation
-
-
-def without(data: CloudSet, rows: NDArray[np.bool_], reason: str) -> CloudSet:
-    """The other rows; these are counted as refused."""
-    if not rows.any():
-        return data
-    return replace(data.subset(~rows), refused={**data.refused, reason: int(rows.sum())})
 
 
 def clean_views(data: CloudSet, source: Path) -> CloudSet:

@@ -19,9 +19,10 @@ from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
 from regressor.training.calibration import check_unlearned
-from regressor.training.cloudset import CloudSet, identity, joined, load_cloudset
+from regressor.training.cloudset import CloudSet, identity, joined, load_cloudset, without
 from regressor.training.labelled import part_of
-from regressor.training.work import Work, no_work, preparing
+from regressor.training.plausible import refused_told
+from regressor.training.work import Told, Work, no_work, not_told, preparing
 from regressor.weigh.blend import SEEN, BlendRule, best_share, fit_blend
 from regressor.weigh.quadratic import QuadraticRule, fit_quadratic
 from regressor.weigh.view_features import VIEW_NAMES
@@ -40,6 +41,7 @@ def restack(
     correction: bool = True,
     compute: torch.dtype | None = None,
     on_work: Work = no_work,
+    on_left_out: Told = not_told,
 ) -> Sidecar:
     """Fit volume rule and blend of saved weights again and write their sidecar; the tensors stay as they are.
 
@@ -70,7 +72,11 @@ def restack(
     check_unlearned(
         views, sidecar, f"--unseen {unseen} is what {weights} were trained on", "a blend would trust it too much"
     )
-    seen, views = seen.subset(seen.clean & ~np.isin(identity(seen), identity(views))), views.subset(views.clean)
+    seen = without(seen, np.isin(identity(seen), identity(views)), "in_unseen")
+    seen, views = (without(part, ~part.clean, "under_soil") for part in (seen, views))
+    for folder, part in ((data, seen), (unseen, views)):
+        if left_out := refused_told(part.refused, part.refused_first):
+            on_left_out(folder, left_out)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:
         raise InputError(
             f"{unseen} holds {len(np.unique(views.recording))} recordings without soil on the tubers; at least "

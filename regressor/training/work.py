@@ -11,6 +11,14 @@ Work = Callable[[str, int, int | None], None]
 """Called with words, how much is done, and how much there is (None: no one knows)."""
 
 
+Told = Callable[[Path, str], None]
+"""Called with a folder and which of its views are left out, in words; not where none are."""
+
+
+def not_told(folder: Path, words: str) -> None:
+    """Says nothing."""
+
+
 def no_work(words: str, done: int, of: int | None) -> None:
     """Says nothing."""
 

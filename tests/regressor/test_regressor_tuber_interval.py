@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from regressor.network.sidecar import Sidecar
+from regressor.network.stored import SHIPPED
 from regressor.training.calibration import calibration, varied
 from regressor.training.cloudset import load_cloudset
 from regressor.training.tuber_interval import CONFIDENCE, calibrate_tubers, interval_told
@@ -17,6 +19,9 @@ from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate
 from regressor.weigh.viewscale import BELT, TYPICAL_SLOPES, fit_scale, view_terms
 from tests.regressor.ellipsoids import write_pack
+from tests.regressor.twin_folder import write_twin
+from tuberline.cli.calibrate_blend import calibrate_blend
+from tuberline.cli.calibrate_interval import calibrate_interval
 
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.str_]]
 
@@ -125,3 +130,27 @@ def test_a_slope_over_the_belt_is_fitted_where_it_shows_and_never_falls() -> Non
     assert varied(belt_sd_m)
     assert not varied(np.full(100, 0.002))
     assert not varied(np.append(np.full(100, 0.002), 0.004))
+
+
+def test_calibrations_tell_which_views_they_leave_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only a training did: of a set with a wrong belt distance less was calibrated on than its owner believed."""
+    weights = tmp_path / "w.safetensors"
+    for ending in (".safetensors", ".json"):
+        shutil.copy(SHIPPED.with_suffix(ending), weights.with_suffix(ending))
+    write_twin(tmp_path / "crop", tubers=4)
+    table = tmp_path / "crop" / "ground_truth.csv"
+    first, row, *rest = table.read_text(encoding="utf-8").splitlines()
+    table.write_text("\n".join([first, row.replace("0.42", "0.9"), *rest]), encoding="utf-8")
+    calibrate_interval(weights, data=tmp_path / "crop")
+    assert f"{tmp_path / 'crop'}: views left out: off_the_belt 1 (t000_depth_360.png)\n" in capsys.readouterr().err
+    write_pack(tmp_path / "unseen", tubers=24, views=1, seed=5)
+    shard = tmp_path / "unseen" / "views-00000.npz"
+    with np.load(shard) as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(shard, **arrays, recording=arrays["tuber"], soil_mm=np.where(arrays["tuber"] < 3, 1.0, 0.0))
+    write_pack(tmp_path / "both" / "own", tubers=24, views=1, seed=6)
+    shutil.copytree(tmp_path / "unseen", tmp_path / "both" / "unseen")
+    calibrate_blend(weights, data=tmp_path / "both", unseen=tmp_path / "unseen")
+    told = capsys.readouterr().err
+    assert f"{tmp_path / 'both'}: views left out: in_unseen 24\n" in told
+    assert f"{tmp_path / 'unseen'}: views left out: under_soil 3\n" in told

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from tuberline.cli.calibrate_interval import wide
-from tuberline.cli.twin_told import tell_twin
+from tuberline.cli.twin_told import tell_left_out, tell_twin
 
 
 def calibrate_blend(
@@ -52,7 +52,14 @@ def calibrate_blend(
     torch.set_num_threads(1)
     with work_bar("reading views") as on_work:
         sidecar = restack(
-            weights, data, unseen, cache=cache, correction=correction, compute=wide(compute), on_work=on_work
+            weights,
+            data,
+            unseen,
+            cache=cache,
+            correction=correction,
+            compute=wide(compute),
+            on_work=on_work,
+            on_left_out=tell_left_out,
         )
     figures = sidecar.metrics["blend"]
     corrected = "nothing"

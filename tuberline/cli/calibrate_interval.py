@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tuberline.cli.numbers import Many
-from tuberline.cli.twin_told import tell_twin
+from tuberline.cli.twin_told import tell_left_out, tell_twin
 
 if TYPE_CHECKING:
     import torch
@@ -49,7 +49,15 @@ def calibrate_interval(
     tell_twin(data)
     torch.set_num_threads(1)
     with work_bar("reading views") as on_work:
-        sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=wide(compute), on_work=on_work)
+        sidecar = recalibrate(
+            weights,
+            data,
+            cache=cache,
+            max_views=max_views,
+            compute=wide(compute),
+            on_work=on_work,
+            on_left_out=tell_left_out,
+        )
     figures, counted = sidecar.metrics["calibration"], sidecar.metrics["interval"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: calibrated on {figures['views']:.0f} views of {figures['tubers']:.0f} "

@@ -26,6 +26,11 @@ def tell_twin(*folders: Path) -> None:
                 sys.stderr.write(f"{told}\n")
 
 
+def tell_left_out(folder: Path, words: str) -> None:
+    """A line on stderr: which views of a folder a calibration leaves out, by reason."""
+    sys.stderr.write(f"{folder}: views left out: {words}\n")
+
+
 def tell_trained_resting(sidecar: Sidecar) -> None:
     """A line on stderr where weights were trained on tubers below their belt, for who states no offset."""
     level = sidecar.training.get("resting")
