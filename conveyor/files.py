@@ -176,19 +176,38 @@ def check_folder(target: Path, *, option: str) -> None:
     """Refuse before minutes of work a folder into which nothing could be written after them; it is made.
 
     Raises:
-        InputError: it cannot be made, or this user may not write into it; named by `option`. OutputError: its disk is
-            full or read-only.
+        InputError, OutputError: as `check_room`.
     """
+    check_room(target, option=option)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise fault_of(error, f"{option} {target} cannot be made: {cause(error)}") from error
-    if trouble := unwritable(target):
+
+
+def check_room(target: Path, *, option: str) -> None:
+    """The same of a folder that is made only where there is something for it.
+
+    Raises:
+        InputError: it cannot be made, or this user may not write into it; named by `option`. OutputError: its disk is
+            full or read-only.
+    """
+    place = target.absolute()
+    try:
+        while not place.exists():
+            place = place.parent
+    except OSError as error:  # a folder on the way may not be looked into
+        raise fault_of(error, f"{option} {target} cannot be made: {cause(error)}") from error
+    if not place.is_dir():
+        raise InputError(f"{option} {target} cannot be made: {cause(_error(errno.EEXIST))}")
+    if trouble := unwritable(place):
         raise OutputError(f"{option} {target} cannot be written: {trouble}")
-    if not os.access(target, os.W_OK | os.X_OK):
-        raise InputError(
-            f"{option} {target} cannot be written: {cause(OSError(errno.EACCES, os.strerror(errno.EACCES)))}"
-        )
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(f"{option} {target} cannot be written: {cause(_error(errno.EACCES))}")
+
+
+def _error(number: int) -> OSError:
+    return OSError(number, os.strerror(number))
 
 
 def _refuse_device(name: str, target: Path) -> None:
@@ -221,9 +240,9 @@ def unwritable(folder: Path) -> str:
         return cause(error)
     free_blocks = disk.f_bavail if os.geteuid() else disk.f_bfree  # some of it may be kept for root
     if disk.f_flag & os.ST_RDONLY:
-        return cause(OSError(errno.EROFS, os.strerror(errno.EROFS)))
+        return cause(_error(errno.EROFS))
     if free_blocks * disk.f_frsize < LEAST_FREE_BYTES:
-        return cause(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        return cause(_error(errno.ENOSPC))
     return ""
 
 

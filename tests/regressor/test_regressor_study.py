@@ -6,6 +6,7 @@ import csv
 import json
 import resource
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
 from tuberline.cli.drift import drift as drift_command
+from tuberline.cli.evaluate import evaluate as evaluate_command
 from tuberline.cli.search import trial_table
 
 
@@ -279,3 +281,17 @@ def test_a_table_that_cannot_be_written_leaves_the_former_one(tmp_path: Path) ->
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert read_table(tmp_path) == ({"full": figures}, "two epochs")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ablation.json", "ablation.md"]
+
+
+@pytest.mark.parametrize("command", [evaluate_command, drift_command])
+def test_a_place_that_cannot_be_written_is_told_before_views_are_weighed(
+    pack: Path, tmp_path: Path, command: Callable[..., None]
+) -> None:
+    """It was told after all of them, an hour or more for 26,600 views."""
+    (tmp_path / "file").write_text("no folder")
+    for out in (tmp_path / "file", tmp_path / "file" / "results"):
+        with pytest.raises(InputError, match=r"--out .*file.* cannot be made: .*a file lies where a folder is needed"):
+            command(data=pack, out=out, weights=tmp_path / "read later")
+    with pytest.raises(InputError, match="read later cannot be read"):
+        command(data=pack, out=tmp_path / "new" / "results", weights=tmp_path / "read later")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

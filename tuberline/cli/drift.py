@@ -48,7 +48,7 @@ def drift(
     json
         Print the figures as JSON on stdout.
     """
-    from conveyor.files import whole_output
+    from conveyor.files import check_room, whole_output
     from conveyor.threads import use_threads
     from regressor.studies.drift import SHIFTS, write_drift
     from regressor.studies.drift import drift as run
@@ -56,6 +56,7 @@ def drift(
     from tuberline.cli.markdown import print_markdown
     from tuberline.cli.progress import work_bar
 
+    check_room(out, option="--out")
     use_threads(1)
     others = _others(also or [], SHIFTS)
     tell_twin(data, *others.values())

@@ -56,7 +56,7 @@ def evaluate(
     """
     import importlib.util
 
-    from conveyor.files import whole_output
+    from conveyor.files import check_room, whole_output
     from conveyor.threads import use_threads
     from regressor.studies.evaluate import evaluate as run
     from regressor.studies.report import markdown, write_plots, write_report
@@ -72,6 +72,7 @@ def evaluate(
     unknown = sorted(set(by) - {*BY, "calibrated", "all"})
     if unknown:
         raise InputError(f"--by {unknown[0]}: known are {', '.join(BY)}, calibrated, all")
+    check_room(out, option="--out")
     use_threads(1)
     if split is None and part_of(data, "test") is not None:
         sys.stderr.write(f"{data} has a splits.csv: all its parts are judged; --split test takes the test part alone\n")
