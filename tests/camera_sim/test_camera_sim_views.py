@@ -125,3 +125,14 @@ def test_what_cannot_be_is_refused(pack: Path) -> None:
         simulate_views(out=pack.parent / "other", belt_sd_mm=(0.0,))
     with pytest.raises(InputError, match="a 3DPotatoTwin folder cannot say how well its belt is known"):
         simulate_views(out=pack.parent / "other", belt_sd_mm=(2.0,), layout="potatotwin")
+
+
+def test_views_that_are_not_made_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It said how many views there were, and not that fewer were made than had been asked for."""
+    simulate_views(out=tmp_path / "far", tubers=1, views=6, seed=3, preset="field", camera="d405-848", distances=(1.5,))
+    made = len(np.load(tmp_path / "far" / "views-00000.npz")["weight_g"])
+    assert 0 < made < 6
+    told = f"{made} views of 1 tubers in {tmp_path / 'far'}; in {6 - made} of 6 nothing was left of the tuber, they are"
+    assert capsys.readouterr().out.startswith(told)
+    simulate_views(out=tmp_path / "near", tubers=1, views=2, seed=3, preset="easy")
+    assert capsys.readouterr().out == f"2 views of 1 tubers in {tmp_path / 'near'}\n"

@@ -94,7 +94,9 @@ def simulate_views(
                 partial, plan, tubers=tubers, command=" ".join(sys.argv), on_tuber=lambda _: progress.advance(task)
             )
         remove(former)
-    sys.stdout.write(f"{made} views of {tubers} tubers in {out}\n")
+    hidden = tubers * views - made
+    fewer = f"; in {hidden} of {tubers * views} nothing was left of the tuber, they are not made" if hidden else ""
+    sys.stdout.write(f"{made} views of {tubers} tubers in {out}{fewer}\n")
 
 
 def check_distances(distances: tuple[float, ...], *, needed: bool) -> None:
