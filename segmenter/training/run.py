@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import platform
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from torch import nn
 
 from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.files import whole_output
 from conveyor.formats.packs.belts import belt_pack_meta
 from segmenter.classify.patch import CHANNELS, SIZE
 from segmenter.training.blocks import export_net
@@ -61,10 +63,16 @@ def make_classifier(run: TrainingRun, recipe: ClassifierRecipe, *, on_step: OnSt
     samples = [sample for folder in run.data for sample in _samples(folder)]
     held_out = _samples(run.validation)
     net, seconds = train_classifier(samples, recipe, on_step=on_step, start=before.net if before else None)
-    export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
-    torch.save(net.state_dict(), run.out / f"{run.name}.pt")
     origins["bodies"] = len(samples)
-    return _sidecar(run, net, asdict(recipe), origins, seconds, scores(classified(net, held_out), held_out))
+    sidecar = _sidecar(run, net, asdict(recipe), origins, seconds, scores(classified(net, held_out), held_out))
+    state = io.BytesIO()
+    torch.save(net.state_dict(), state)  # into memory: on a full disk torch raises what is no error of a disk
+    with whole_output(run.out) as partial:
+        partial.mkdir()
+        export_net(net, partial / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
+        (partial / f"{run.name}.pt").write_bytes(state.getbuffer())
+        (partial / f"{run.name}.json").write_text(json.dumps(sidecar, indent=1) + "\n", encoding="utf-8")
+    return sidecar
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +105,20 @@ def earlier(path: Path) -> Earlier:
         return Earlier(net, {key: sidecar[key] for key in KEPT} | before)
     except (OSError, RuntimeError, UnpicklingError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path} is no training to go on from: {error}; give the .pt that `tuberline train-classifier` wrote, with "
-            "its .json beside it"
+            f"{path} is no training to go on from: {_why(error)}; give the .pt that `tuberline train-classifier` "
+            "wrote, with its .json beside it"
         ) from error
+
+
+def _why(error: Exception) -> str:
+    """In words: what torch says of another network goes on for pages, and of another file it is a number."""
+    match error:
+        case OSError():
+            return error.strerror or str(error)
+        case KeyError():
+            return f"its .json lacks {error}"
+        case _:
+            return "it holds something else"
 
 
 def _prepare(run: TrainingRun, before: Earlier | None) -> dict[str, Any]:
@@ -125,7 +144,7 @@ def _sidecar(
     seconds: float,
     found: dict[str, float],
 ) -> dict[str, Any]:
-    sidecar = {
+    return {
         "name": run.name,
         "command": run.command,
         "recipe": recipe,
@@ -141,8 +160,6 @@ def _sidecar(
             "python": platform.python_version(),
         },
     }
-    (run.out / f"{run.name}.json").write_text(json.dumps(sidecar, indent=1) + "\n", encoding="utf-8")
-    return sidecar
 
 
 def _origins(folder: Path) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from conveyor.errors import InputError
+from conveyor.files import check_room
 from tuberline.cli.numbers import Many, Seed, within
 
 
@@ -27,6 +28,7 @@ def make_patches(*, data: list[Path], out: Path, force: bool = False) -> None:
     """
     from conveyor.formats.packs.belts import belt_pack_meta
 
+    check_room(out, option="--out")
     origins = {folder: belt_pack_meta(folder) for folder in data}
     paths: dict[Path, Path] = {}
     for folder, origin in origins.items():
@@ -103,6 +105,7 @@ def train_classifier(
         raise InputError(f"--rate {rate}: above 0, at most 1")
     if start_share is not None and (start is None or not 0 <= start_share <= 1):
         raise InputError(f"--start-share {start_share:g}: from 0 to 1, of the network that --start names")
+    _check_out(out, name, start)
     run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]), start)
     with work_bar("reading belts") as on_work:
         recipe = ClassifierRecipe(epochs=epochs, rate=rate, seed=seed, start_share=start_share or 0.0, stretch=stretch)
@@ -115,3 +118,13 @@ def train_classifier(
     sys.stdout.write(f"{out / run.name}.onnx, on belts never seen:\n")
     for what, value in sidecar["held_out"].items():
         sys.stdout.write(f"  {what}: {value:.4g}\n")
+
+
+def _check_out(out: Path, name: str, start: Path | None) -> None:
+    """Before minutes of training: a place to write to, and no other network there than the one that is gone on from."""
+    if Path(name).name != name or name in ("", ".."):
+        raise InputError(f"--name is {name!r}; allowed is the name of a file without its folder, which --out names")
+    check_room(out, option="--out")
+    made = [path for ending in (".onnx", ".pt", ".json") if (path := out / f"{name}{ending}").exists()]
+    if made and (start is None or start.resolve() != (out / f"{name}.pt").resolve()):
+        raise InputError(f"{made[0]} is there already: choose another --out or --name")
