@@ -91,6 +91,8 @@ def train(
 ) -> Sidecar:
     """Train, calibrate, write `weights.safetensors` with its sidecar; the sidecar.
 
+    A training that has ended is left as it is: its weights may have been calibrated since.
+
     Raises:
         InputError: data that cannot be used, a state to resume that is not there, or a folder that holds weights
             already. OutputError: another process trains there.
@@ -126,6 +128,8 @@ def _train(
         training.start_from(start, where=str(options.start))
     if begun is not None:
         training.restore(begun)
+    if training.share >= 1.0 and is_written(options.out, training.progress.step):
+        return
     for name in (WEIGHTS, LATEST, STATE, LOG):
         remove_partials(options.out, name)
     remove_partials(options.out / "cache", "clouds-*")
@@ -144,6 +148,18 @@ def _train(
         on_validated=write,
         on_step=on_step,
     )
+
+
+def is_written(out: Path, step: int) -> bool:
+    """Whether the weights of a training that ended with `step` are in `out`: it may have been killed before."""
+    for path in (out / WEIGHTS, out / LATEST):
+        try:
+            trained = read_weights(path)[1].training
+        except InputError:  # not there, or with a sidecar of others: they are written again
+            continue
+        if trained.get("steps") == step and trained.get("numbers", {}).get("share_done") == 1.0:
+            return True
+    return False
 
 
 def load_sets(

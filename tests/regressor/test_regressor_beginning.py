@@ -13,6 +13,7 @@ from regressor.network.checkpoint import save_checkpoint
 from regressor.network.pointraft import PointRaft
 from regressor.network.sidecar import Sidecar
 from regressor.training.beginning import alone_in
+from regressor.training.calibration import recalibrate
 from regressor.training.loop import save_state
 from regressor.training.recipe import TrainSettings
 from regressor.training.run import RunOptions, load_sets, train
@@ -131,3 +132,15 @@ def test_a_log_has_each_step_once_though_its_training_was_killed(packs: Path, tm
     train(replace(begun, out=killed, resume=True), whole, **SILENT)
     again = (killed / "log.csv").read_text(encoding="utf-8").splitlines()
     assert [line.split(",")[1:] for line in again] == [line.split(",")[1:] for line in full]  # minutes are the clock's
+
+
+def test_a_training_that_has_ended_is_left_as_it_is(packs: Path, tmp_path: Path) -> None:
+    """`--resume` wrote its sidecar again, and what calibrations had made of it was gone without a word."""
+    first = _options(packs, tmp_path / "out")
+    train(first, ONE_STEP, **SILENT)
+    write_pack(tmp_path / "fresh", tubers=24, views=1, seed=9)
+    weights = tmp_path / "out" / "weights.safetensors"
+    calibrated = recalibrate(weights, tmp_path / "fresh", cache=None, max_views=None)
+    assert train(replace(first, resume=True), ONE_STEP, **SILENT) == calibrated
+    weights.unlink()  # as of one that was killed before it wrote them
+    assert train(replace(first, resume=True), ONE_STEP, **SILENT).metrics["interval"]["tubers"] == 4
