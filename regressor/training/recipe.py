@@ -155,6 +155,10 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
             raise InputError(f"--{option} is {value:g}; it must be above 0")
         if value is not None and value > MOST:
             raise InputError(f"--{option} is {value:g}; at most {MOST:g} is allowed")
+    if given.get("epochs") is not None and given.get("minutes") is not None:
+        raise InputError(
+            f"--epochs {given['epochs']:g} and --minutes {given['minutes']:g} both say when a training ends: give one"
+        )
     recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
     if name == "paper" and given.get("epochs") is not None:

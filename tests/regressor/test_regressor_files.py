@@ -284,3 +284,5 @@ def test_import_of_an_upstream_checkpoint(tmp_path: Path) -> None:
     loaded, sidecar = load_checkpoint(tmp_path / "in.safetensors")
     assert (sidecar.start.kind, sidecar.start.seed, sidecar.name) == ("random", 5, "pointraft_potato")
     assert all(torch.equal(value, loaded.state_dict()[name]) for name, value in model.state_dict().items())
+    with pytest.raises(InputError, match=r"in\.safetensors are weights of Tuberline already: give them as they are"):
+        import_checkpoint(tmp_path / "in.safetensors", out=tmp_path / "again.safetensors")

@@ -77,6 +77,12 @@ def test_a_number_that_no_one_means_is_refused(option: str) -> None:
         recipe_named("tuberline", shear=None, **{option: 1e308})
 
 
+def test_a_training_ends_by_its_epochs_or_by_the_clock() -> None:
+    """Of both, the minutes were taken without a word."""
+    with pytest.raises(InputError, match=r"--epochs 3 and --minutes 1.5 both say when a training ends: give one"):
+        recipe_named("tuberline", shear=None, epochs=3.0, minutes=1.5)
+
+
 def test_a_share_of_the_start_needs_one() -> None:
     with pytest.raises(InputError, match=r"--start-share 0.5 is of the network that --start names"):
         train_command(data=Path("a"), val=Path("b"), out=Path("c"), start_share=0.5)

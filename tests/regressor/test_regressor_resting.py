@@ -101,7 +101,7 @@ def test_a_belt_whose_load_lies_on_its_plane_is_known_as_well_as_its_distance(tm
         assert all((view.level_sd_m == view.belt_sd_m) == alike for view in views), preset
 
 
-def test_blanks_after_the_commas_of_a_table_change_nothing(tmp_path: Path) -> None:
+def test_blanks_after_the_commas_of_a_table_and_capitals_change_nothing(tmp_path: Path) -> None:
     """' belt_distance_m' was another column than the one that is read: the season's distance was taken, and the level
     that the table stated was not.
     """
@@ -109,8 +109,9 @@ def test_blanks_after_the_commas_of_a_table_change_nothing(tmp_path: Path) -> No
     table = tmp_path / "ground_truth.csv"
     plain = table.read_text(encoding="utf-8").replace("2026", "2023")  # whose own distance is another one
     read = []
-    for text in (plain, plain.replace(",", ", ")):
+    names, rows = plain.split("\n", 1)
+    for text in (plain, plain.replace(",", ", "), f"{names.title()}\n{rows}"):
         table.write_text(text, encoding="utf-8")
         read.append([(v.belt_distance_m, v.resting_offset_m, v.weight_g, v.season) for v in read_labelled(tmp_path)])
-    assert read[0] == read[1]
+    assert read[0] == read[1] == read[2]
     assert {view[:2] for view in read[1]} == {(0.42, 0.002)}

@@ -34,6 +34,8 @@ def import_checkpoint(
 
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out} must end in .safetensors")
+    if path.suffix == ".safetensors":
+        raise InputError(f"{path} are weights of Tuberline already: give them as they are, with --weights")
     model, sidecar = load_checkpoint(path)
     changes = {"name": checked_name(name or sidecar.name), "start": StartPolicy(kind=start, seed=seed)}
     with whole_output(out) as partial:

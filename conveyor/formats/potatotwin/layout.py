@@ -238,13 +238,13 @@ def _rows(path: Path, *needed: str) -> Iterator[dict[str, str]]:
 
 
 def table_reader(file: TextIO) -> csv.DictReader[str]:
-    """Rows by the names of their columns, without the blanks that some write after each comma.
+    """Rows by the names of their columns in small letters, without the blanks that some write after each comma.
 
     Raises:
         csv.Error: as `csv.reader`.
     """
     reader = csv.DictReader(file)
-    reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+    reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or ()]
     return reader
 
 
