@@ -31,7 +31,7 @@ class CountSettings:
         min_area_m2, min_height_m: medians over frames that no border cuts.
         min_width_m: haulm is thinner.
         min_thick: height over width of the flattest body; belt that rises, and soil, are flatter. Of 3217 simulated
-            tubers, in worlds as bad as `harsh`, the flattest had 0.47.
+            tubers, in worlds as bad as `harsh`, the flattest had 0.47, of 1576 of the other world 0.55.
         min_volume_m3: under the visible surface; the smallest tuber of three seasons, 16 g, has 18 ml.
         max_slender, contact_share: a piece split off a tuber is more slender (height over width) than this and shares
             more than this of its outline with another.
