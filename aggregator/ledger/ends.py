@@ -23,3 +23,15 @@ def end_of(run: RunRow, written: str | None, *, sums: RunSums, summary: Mapping[
     if run.run == written:
         return "goes on"
     return "stopped" if sums.stopped or summary else "cut off"
+
+
+def less_than_all(run: str, end: End, *, lacks: bool) -> str:
+    """In a sentence, why a run may hold less than passed; '' where nothing says so. `lacks`: as in `RunSums`."""
+    if lacks:
+        return (
+            f"Run {run} was repaired with losses: its ledger holds less than it did. Tubers, weights and belt seen are "
+            "of what is left."
+        )
+    if end == "cut off":
+        return f"Run {run} was cut off: its aggregator ended without a word. This is what is committed."
+    return ""

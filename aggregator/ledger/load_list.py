@@ -30,8 +30,8 @@ def told_loads(
     `wanted`: a number, 'number:' and a number, or a name; of those alone that it may mean.
     Names and units as in `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what
     scales said), `said` (all that was said of it), `notes` (texts of persons, oldest first), `refused` (why its ticket
-    does not calibrate), `doubts` (what speaks against its tickets) and `jacket_g` (gross less net less foreign matter:
-    soil on tubers).
+    does not calibrate), `doubts` (what speaks against its tickets), `remarks` (which of its runs were cut off or
+    repaired with losses) and `jacket_g` (gross less net less foreign matter: soil on tubers).
     """
     ledger = ReadLoads(view)
     seen = ledger.seen
@@ -78,6 +78,7 @@ def _told(
         "gross_g": None if gross is None else gross.ticket_g,
         "jacket_g": jacket_g(_grams(gross), _grams(net), now.foreign),
         "refused": refused,
+        "remarks": list(ledger.remarks(run for run, _ in load.spans)),
         "said": _said(ledger.loads, load),
         "notes": [{"by": note.said_by, "text": note.text} for note in load.notes if note.text],
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import LoadCounted, counted, span_coverage
 from aggregator.core.loads import NO_LOAD, Load, LoadBook, span_of
 from aggregator.core.sight import CameraSight
+from aggregator.ledger.ends import end_of, less_than_all
 from aggregator.ledger.load_rows import SpanSums, read_book, read_span_sums
 from aggregator.ledger.reader import (
     RunRow,
@@ -30,7 +31,7 @@ from aggregator.ledger.reader import (
     run_being_written,
     sights_of,
 )
-from aggregator.ledger.stated import Stated, belt_of_run, stated_beside
+from aggregator.ledger.stated import Stated, belt_of_run, stated_beside, summary_told
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import InputError
@@ -193,11 +194,30 @@ class ReadLoads:
         return self._span_sums[run]
 
     @cached_property
+    def _written(self) -> str | None:
+        return run_being_written(self._view)
+
+    @cached_property
     def seen(self) -> dict[str, Seen]:
         """What the cameras of each run looked at: it is over, but for the one that a line is writing."""
-        found, written = {}, run_being_written(self._view)
+        return {
+            name: Seen(sights_of(run, self.sums(name)), moment_of(run, self._written))
+            for name, run in self.runs.items()
+        }
+
+    def remarks(self, runs: Iterable[str]) -> tuple[str, ...]:
+        """In sentences, which of `runs` were cut off or repaired with losses, in the order in which they began."""
+        wanted = set(runs)
+        return tuple(words for name, words in self._less.items() if words and name in wanted)
+
+    @cached_property
+    def _less(self) -> dict[str, str]:
+        """By run."""
+        found = {}
         for name, run in self.runs.items():
-            found[name] = Seen(sights_of(run, self.sums(name)), moment_of(run, written))
+            sums = self.sums(name)
+            end = end_of(run, self._written, sums=sums, summary=summary_told(self._view, name, sums))
+            found[name] = less_than_all(name, end, lacks=sums.lacks)
         return found
 
     def load_of(self, tuber: Tuber) -> int:

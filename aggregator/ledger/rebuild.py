@@ -50,19 +50,26 @@ UNKNOWN_VERSION = "unknown"
 class Repaired:
     """What a repair did, in words: `saved` rows by table, what was put back or made again, what is lost.
 
-    `less`: runs that hold less than they did: what was told of them when they ended is true no more.
+    `less`: runs that hold less than they did: what was told of them when they ended is true no more. `lossy`: these,
+    and runs of which something else is lost: their sums say so from now on.
     """
 
     saved: dict[str, int] = field(default_factory=dict)
     repaired: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     less: set[str] = field(default_factory=set)
+    lossy: set[str] = field(default_factory=set)
     kept_as: Path | None = None
 
     def lacks(self, run: str, text: str) -> None:
-        """Something of a run is lost."""
-        self.lost.append(text)
+        """Something of a run is lost that its totals were made of."""
+        self.lost_of(run, text)
         self.less.add(run)
+
+    def lost_of(self, run: str, text: str) -> None:
+        """Something of a run is lost, be it none of its rows."""
+        self.lost.append(text)
+        self.lossy.add(run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +118,10 @@ def runs(rows: Rows, had: Mapping[str, Expected], report: Repaired) -> None:
         started_ns = min((ns for ns in times if ns), default=0)
         line = lines[0] if lines else ""
         rows[RUN.name].append(row((run, line, json.dumps(sorted(cameras)), "", UNKNOWN_VERSION, started_ns)))
-        report.lost.append(
+        report.lost_of(
+            run,
             f"the row of run {run} itself: it began when its first camera says so, with the cameras "
-            f"{', '.join(sorted(cameras)) or 'none'} that it knows; which recording it was of is not known any more"
+            f"{', '.join(sorted(cameras)) or 'none'} that it knows; which recording it was of is not known any more",
         )
     rows[RUN.name].sort(key=lambda found: str(found[0]))
 
@@ -272,9 +280,10 @@ def account(of_runs: Mapping[str, Rows], had: Mapping[str, Expected], version: i
             report.lacks(run, f"what run {run} came to: its sums and batches are damaged, more of it may be missing")
             continue
         if of.sums is None and version > 1:
-            report.lost.append(
+            report.lost_of(
+                run,
                 f"the sums of run {run}, with what its cameras published: its coverage is told by their marks alone, "
-                "and may be too high"
+                "and may be too high",
             )
         _tubers_missing(own, run, of, report)
         for table, what in (

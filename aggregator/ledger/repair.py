@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shutil
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
@@ -78,12 +78,12 @@ def repair(path: Path) -> Repaired:
         rebuild.events(rows, had, report)
         of_runs = rebuild.by_run(rows)
         rebuild.account(of_runs, had, found.version, report)
-        _batches_missing(rows, had, acknowledged, report)
+        _batches_missing(rows, had, acknowledged, list(of_runs)[-1], report)
         _leave_out_summaries(of_runs, had, report)
         book = LoadBook.of(event_from(event[:-1]) for event in rows[LOAD_EVENT.name])
         stretches = {run: _stretches(own, run, book, report) for run, own in of_runs.items()}
         seq = _number_batches(of_runs)
-        _write(fresh, of_runs, had, stretches)
+        _write(fresh, of_runs, had, stretches, lossy=report.lossy)
         made.clear()  # from here on the copy may be all that there is
         break_seal(receipt_path(path))
         _swap(path, fresh)
@@ -124,11 +124,13 @@ def _tell(found: Salvaged, report: Repaired) -> None:
         report.repaired.append(f"damaged rows of {table.name} were left out ({len(damaged)}): {shown}")
 
 
-def _batches_missing(rows: Rows, had: Mapping[str, Expected], acknowledged: int, report: Repaired) -> None:
+def _batches_missing(rows: Rows, had: Mapping[str, Expected], acknowledged: int, newest: str, report: Repaired) -> None:
+    """`newest`: the run that was begun last, whose batches they were as far as is known."""
     told = sum(of.counts.get(BATCH.name, 0) for of in had.values())
     last = max([told, *(found[0] for found in rows[BATCH.name])])
     if last < acknowledged:
-        report.lost.append(f"the newest {acknowledged - last} of {acknowledged} batches that were acknowledged")
+        lost = f"the newest {acknowledged - last} of {acknowledged} batches that were acknowledged"
+        report.lost_of(newest, lost)
 
 
 def _leave_out_summaries(of_runs: Mapping[str, Rows], had: Mapping[str, Expected], report: Repaired) -> None:
@@ -136,7 +138,7 @@ def _leave_out_summaries(of_runs: Mapping[str, Rows], had: Mapping[str, Expected
     again = "`tuberline ledger summary --config LINE.toml` writes it again"
     for run, own in of_runs.items():
         if not own[SUMMARY.name] and run in had and had[run].counts.get(SUMMARY.name):
-            report.lost.append(f"the summary of run {run}, which is not finished therefore: {again}")
+            report.lost_of(run, f"the summary of run {run}, which is not finished therefore: {again}")
         elif own[SUMMARY.name] and run in report.less:
             own[SUMMARY.name] = []
             report.repaired.append(f"the summary of run {run} told of what is lost now and was left out: {again}")
@@ -157,6 +159,8 @@ def _write(
     of_runs: Mapping[str, Rows],
     had: Mapping[str, Expected],
     stretches: Mapping[str, dict[int, SpanSums]],
+    *,
+    lossy: Container[str],
 ) -> None:
     db = sqlite3.connect(path, isolation_level=None)
     try:
@@ -167,7 +171,9 @@ def _write(
         for run, own in of_runs.items():
             for table in WRITTEN_ONCE:
                 db.executemany(table.insert, own[table.name])
-            first_step(db, run, _sums(own, had[run].sums if run in had else None))
+            sums = _sums(own, had[run].sums if run in had else None)
+            sums.lacks |= run in lossy
+            first_step(db, run, sums)
             for n, span in stretches[run].items():
                 span_step(db, run, n, span)
         db.execute("COMMIT")
@@ -182,6 +188,7 @@ def _sums(own: Rows, old: RunSums | None) -> RunSums:
     sums.sights = old.sights if old else rebuild.sights(own)
     sums.head_start_m, sums.turns = (old.head_start_m, old.turns) if old else (None, [])
     sums.stopped, sums.utc_offset_s = (old.stopped, old.utc_offset_s) if old else (False, None)
+    sums.lacks = old is not None and old.lacks
     return sums
 
 
@@ -194,8 +201,9 @@ def _stretches(own: Rows, run: str, book: LoadBook, report: Repaired) -> dict[in
     counted = recounted_spans(chain(tubers, bodies), book.spans.get(run, []), histogram_step_g=step_g)
     unknown = [n for n in counted if n not in old]
     if unknown:
-        report.lost.append(
-            f"what was seen of the stretches of belt of run {run} that events {rebuild.listed(unknown)} of loads began"
+        report.lost_of(
+            run,
+            f"what was seen of the stretches of belt of run {run} that events {rebuild.listed(unknown)} of loads began",
         )
     return {n: SpanSums(load, old[n].seen if n in old else None) for n, load in counted.items()}
 

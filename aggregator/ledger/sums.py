@@ -37,6 +37,7 @@ class RunSums:
         load: sums over the tubers; sights: what each camera looked at.
         stopped: its line was stopped since the last entry came.
         utc_offset_s: of the line's clock when the run began; None in a ledger of a version that did not state it.
+        lacks: a repair could not save all of the run.
     """
 
     load: LoadSums
@@ -54,6 +55,7 @@ class RunSums:
     sights: dict[str, CameraSight] = field(default_factory=dict)
     stopped: bool = False
     utc_offset_s: int | None = None
+    lacks: bool = False
 
     def add_rows(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
         """Rows as they are written, their checksum last."""
@@ -115,7 +117,8 @@ class RunSums:
 
     def text(self) -> str:
         """As the ledger keeps it."""
-        added = {"turns": self.turns or None, "stopped": self.stopped or None, "utc_offset_s": self.utc_offset_s}
+        added = {name: getattr(self, name) or None for name in ("turns", "stopped", "lacks")}
+        added["utc_offset_s"] = self.utc_offset_s
         not_needed = {name for name, value in added.items() if value is None}  # a version before reads it
         left_out = {"load", "sights", *not_needed}
         values = {name: getattr(self, name) for name in self.__slots__ if name not in left_out}

@@ -37,7 +37,8 @@ class Total:
     """What the loads under one label come to together (`aggregator.calibration.together.Together`).
 
     `loads`: how many. `weighed`: how many of them have a net ticket, and `net_g` what those say together; `raw_g` is
-    the estimate of all before any calibration.
+    the estimate of all before any calibration. `remarks`: which of their runs were cut off or repaired with losses, in
+    sentences.
     """
 
     label: str
@@ -46,6 +47,7 @@ class Total:
     net_g: float
     raw_g: float
     sums: Together
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class Labelled:
     """A load to be added, with the label that it has by each of `BY`.
 
     `net_g` is what a scale said. `load` is None for a run without loads, and for what passed without one; `run` is the
-    one in which that was, or in which the load began.
+    one in which that was, or in which the load began. `remarks`: as in `Total`.
     """
 
     labels: dict[str, str]
@@ -62,6 +64,7 @@ class Labelled:
     load: Load | None
     unseen_m: Mapping[str, float]
     run: str
+    remarks: tuple[str, ...]
 
     @property
     def runs(self) -> set[str]:
@@ -208,14 +211,17 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
             one = _of_load(ledger, load, counted, tickets)
             net = load.ticket(net=True)
             net_g = net.ticket_g if net else None
-            found.append((load.began_ns, Labelled(_labels(load), one, net_g, load, counted.unseen_m, load.run)))
+            remarks = ledger.remarks(run for run, _ in load.spans)
+            told = Labelled(_labels(load), one, net_g, load, counted.unseen_m, load.run, remarks)
+            found.append((load.began_ns, told))
     for name, run in ledger.runs.items():
         rest = _rest(ledger, run)
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
             labels = _run_labels(label, _harvested_ns(run, seen[name]), ledger.utc_offset_s(name))
-            found.append((run.started_ns, Labelled(labels, one, None, None, rest.unseen_m, name)))
+            told = Labelled(labels, one, None, None, rest.unseen_m, name, ledger.remarks([name]))
+            found.append((run.started_ns, told))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -291,7 +297,8 @@ def total_of(label: str, loads: Sequence[Labelled]) -> Total:
     """These loads together."""
     tickets_g = [load.net_g for load in loads if load.net_g is not None]
     sums, raw_g = together_of(loads)
-    return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, sums)
+    remarks = tuple(dict.fromkeys(words for load in loads for words in load.remarks))
+    return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, sums, remarks)
 
 
 def together_of(loads: Sequence[Labelled]) -> tuple[Together, float]:

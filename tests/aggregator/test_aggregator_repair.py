@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 import sqlite3
@@ -18,6 +19,7 @@ from aggregator.ledger.reader import read_runs, reading
 from aggregator.ledger.repair import repair
 from aggregator.ledger.salvage import one_bit_off
 from aggregator.ledger.schema import row
+from aggregator.ledger.totals_by import totals_by
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import NoLedgerError
 from conveyor.messages import Tuber
@@ -25,6 +27,9 @@ from tests.aggregator.belt_story import Story, tell
 from tests.aggregator.finished_ledger import copied, flip
 from tests.aggregator.virtual_line import Aggregator
 from tuberline.cli.commands import build_app
+from tuberline.cli.export import export
+from tuberline.export.report.gather import day_facts
+from tuberline.export.report.wrong import what_went_wrong
 
 PAGE = 4096
 FLIPS, MANY, TORN = 24, 1000, 16
@@ -173,7 +178,7 @@ def without_rows(path: Path, sql: str) -> None:
     db.execute("PRAGMA secure_delete = ON")
     for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
         db.execute(f"DROP TRIGGER {name}")
-    db.execute(sql)
+    db.executescript(sql)
     db.close()
 
 
@@ -219,6 +224,49 @@ def test_the_command_names_what_is_lost_and_says_so_by_its_exit_code(
         build_app()(("ledger", "repair", str(tmp_path)))
     assert ended.value.code == 1
     assert "LOST: 1 of the entries of cam0 in run one: 3\n" in capsys.readouterr().out
+
+
+def test_totals_name_a_run_that_was_cut_off_or_repaired_with_losses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A load of which one tuber of 34 was left was told with all of its belt seen, and without a word."""
+    path = tmp_path / "ledger.db"
+    two_runs(path)
+    assert {total.remarks for total in totals_by([path], "load")[0]} == {()}
+    without_rows(path, "DELETE FROM entry WHERE run = 'one' AND n > 4; DELETE FROM tuber WHERE run = 'one'")
+    assert repair(path).lost
+    with Ledger(path) as ledger:
+        cut = tell(11, n=12, cameras=2).in_run("cut")
+        for _ in zip(range(9), Aggregator(ledger, cut).commits(), strict=False):
+            pass
+        told = {total.label: total.remarks for total in totals_by([path], "load")[0]}
+        assert told["cut"] == (), "it is being written"
+    lossy = "Run one was repaired with losses: its ledger holds less than it did. Tubers, weights and belt seen are "
+    lossy += "of what is left."
+    cut_off = "Run cut was cut off: its aggregator ended without a word. This is what is committed."
+    told = {total.label: total.remarks for total in totals_by([path], "load")[0]}
+    assert told == {"one": (lossy,), "one-more": (), "cut": (cut_off,), "all": (lossy, cut_off)}
+    assert {lossy, cut_off} < set(what_went_wrong(day_facts([path])))
+    build_app()(("ledger", "totals", str(path)), result_action="return_value")
+    assert f"{lossy} {cut_off}" in " ".join(capsys.readouterr().out.split())
+    build_app()(("ledger", "totals", str(path), "--json"), result_action="return_value")
+    assert json.loads(capsys.readouterr().out)["totals"][-1]["remarks"] == [lossy, cut_off]
+    assert repair(path).lost == [], "a second repair finds nothing"
+    assert set(totals_by([path], "load")[0][-1].remarks) == {lossy, cut_off}, "what the first one lost is still gone"
+    assert check_file(path) == []
+
+
+def test_loads_name_a_run_that_was_repaired_with_losses(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = copied(finished, tmp_path / "run")
+    without_rows(path, "DELETE FROM tuber WHERE tuber_id > 3; DELETE FROM entry WHERE n > 9")
+    assert repair(path).lost
+    build_app()(("load", "show", "--ledger", str(path)), result_action="return_value")
+    assert capsys.readouterr().out.count(" was repaired with losses: ") == 1
+    export([path], format="csv", what="loads", out=tmp_path / "loads.csv")
+    with (tmp_path / "loads.csv").open() as file:
+        assert all(" was repaired with losses: " in row["remarks"] for row in csv.DictReader(file))
 
 
 def test_a_file_without_any_row_is_refused_and_kept(tmp_path: Path) -> None:

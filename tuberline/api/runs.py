@@ -143,6 +143,7 @@ def read_totals(
 
     Returns:
         One total per label, and the sum of all, 'all', last. A run in which no load was started is one load by itself.
+        `remarks` of each say which of its runs were cut off or repaired with losses.
 
     Raises:
         TuberlineError: no ledger, a damaged one, or one of another version.

@@ -22,7 +22,8 @@ def totals(
 
     What loads have in common (the resting level, the camera, a variety's factor) is one error in all of them: the
     interval of a sum does not shrink as if each load were weighed by another line. Tickets of these loads calibrate
-    the loads of their own line, and those that the line.toml beside a ledger names that ledger.
+    the loads of their own line, and those that the line.toml beside a ledger names that ledger. A run that was cut off,
+    or repaired with losses, is named: its loads may hold less than passed.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def totals(
 
 
 def print_totals(found: list[Total], remarks: list[str], by: str) -> None:
-    """One row a label, in 80 columns; below them what the interval of all is made of, and `remarks`."""
+    """One row a label, in 80 columns; below them what the interval of all is made of, `remarks`, and those of all."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -92,5 +93,5 @@ def print_totals(found: list[Total], remarks: list[str], by: str) -> None:
     if found and found[-1].sums.parts_percent:
         parts = ", ".join(f"{name} {part:.1f} %" for name, part in found[-1].sums.parts_percent.items())
         console.print(f"the 90 % interval of all is made of: {parts}", highlight=False)
-    for words in remarks:
+    for words in (*remarks, *(found[-1].remarks if found else ())):
         console.print(Text(words))

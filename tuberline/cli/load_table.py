@@ -102,6 +102,8 @@ def print_loads(loads: list[dict[str, Any]], *, unit: str = "kg") -> None:
     for load in loads:
         for words in _of_tickets(load):
             console.print(Text(f"{load['number']}: {in_unit(words, unit, names=names)}"))
+    for words in dict.fromkeys(words for load in loads for words in load.get("remarks", ())):
+        console.print(Text(words))
 
 
 def _weight(load: dict[str, Any], unit: str) -> str:
@@ -114,7 +116,7 @@ def _weight(load: dict[str, Any], unit: str) -> str:
 def _of_tickets(load: dict[str, Any]) -> list[str]:
     """Why its ticket does not calibrate, and what speaks against its tickets."""
     refused = [f"its ticket does not calibrate: {words}" for words in load.get("refused", ())]
-    return [*refused, *load.get("doubts", ())]  # a line of an earlier version tells no doubts
+    return [*refused, *load.get("doubts", ())]  # a line of an earlier version tells no doubts and no remarks
 
 
 def print_load(load: dict[str, Any], *, unit: str = "kg") -> None:

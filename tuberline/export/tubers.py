@@ -50,6 +50,7 @@ LOAD_COLUMNS = (
     Column("coverage", "number", "share", "of the belt that was looked at"),
     Column("ticket_kg", "number", "kg", "what a scale said, net; of all: of the loads that have a ticket"),
     Column("raw_kg", "number", "kg", "not calibrated, made up for belt that was not seen"),
+    Column("remarks", "text", "", "which of its runs were cut off or repaired with losses; empty where none was"),
 )
 
 
@@ -87,7 +88,8 @@ def _load(total: Total) -> tuple[Any, ...]:
     grams = (sums.as_weighed_g, sums.estimated_g, sums.low_g, sums.high_g, total.raw_g)
     as_weighed, kg, low, high, raw = (g / 1000 if sums.saw else None for g in grams)
     ticket_kg = total.net_g / 1000 if total.weighed else None
-    return total.label, sums.tubers, as_weighed, kg, low, high, sums.coverage, ticket_kg, raw
+    told = " ".join(total.remarks)
+    return total.label, sums.tubers, as_weighed, kg, low, high, sums.coverage, ticket_kg, raw, told
 
 
 def about(runs: Sequence[Path]) -> dict[str, Any]:
@@ -104,7 +106,8 @@ def about(runs: Sequence[Path]) -> dict[str, Any]:
             models = {model for sums in sums_of.values() for model in sums.load.models()}
             belt = belt_of_run(db, known[-1].run, sums_of[known[-1].run], stated_beside(file))
         loads = read.of(path)
-        sums, by = total_of(ALL, loads).sums, (load.one.totals.calibrated().told for load in loads)
+        whole, by = total_of(ALL, loads), (load.one.totals.calibrated().told for load in loads)
+        sums = whole.sums
         counted = sums.tubers > 0
         found.append(
             {
@@ -112,6 +115,7 @@ def about(runs: Sequence[Path]) -> dict[str, Any]:
                 "line": known[-1].line,
                 "grown": _grown(loads),
                 "finished": all(run.finished for run in known),
+                "remarks": list(whole.remarks),
                 "weights": sorted(models),
                 "calibrated_by": "; ".join(dict.fromkeys(filter(None, by))) or "nothing",
                 "coverage": sums.coverage,

@@ -70,6 +70,7 @@ class LoadFacts:
 class RunFacts:
     """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights. `loads`:
     numbers of the loads that are told. `alarms`: where the line's config keeps them, None where it does not say.
+    `lacks`: a repair could not save all of it.
     """
 
     path: Path
@@ -81,6 +82,7 @@ class RunFacts:
     models: dict[str, int]
     loads: frozenset[int]
     alarms: Path | None
+    lacks: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,8 +190,8 @@ def _runs(file: Path, loads: Sequence[Labelled], day: str | None, configs: Mappi
             sums = read_sums(view, run.run)
             summary = summary_told(view, run.run, sums)
             end = end_of(run, written, sums=sums, summary=summary)
-            models = sums.load.models()
-            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, models, numbers, kept))
+            of = (run.run, run.line, run.version, summary, end, sums.load.models())
+            found.append(RunFacts(file, *of, numbers, kept, sums.lacks))
         return found
 
 

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from aggregator.ledger.ends import less_than_all
 from conveyor.apart import apart_in_words
 from conveyor.exchanged import exchanged_in_words
 from conveyor.heights import heights_in_words
@@ -93,8 +94,8 @@ def _of_run(run: RunFacts) -> Iterator[str]:
     summary = run.summary
     if run.end == "goes on":
         yield f"Run {run.run} goes on: this is what is committed so far."
-    elif run.end == "cut off":
-        yield f"Run {run.run} was cut off: its aggregator ended without a word. This is what is committed."
+    if less := less_than_all(run.run, run.end, lacks=run.lacks):
+        yield less
     if not summary:
         return
     for text in summary.get("differences", []):
