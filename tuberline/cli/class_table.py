@@ -8,6 +8,8 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from conveyor.rounding import rounded_to_sum
+
 KINDS = {"lump": ("clod or stone", "clods or stones"), "haulm": ("stalk of haulm", "stalks of haulm")}
 """One and several bodies of a kind that the ledger knows."""
 COLOURS = {"kept": "green", "open": "yellow", "broken": "red", "": ""}
@@ -18,16 +20,19 @@ def class_table(contract: str, classes: Sequence[Mapping[str, Any]]) -> Table:
     limits = any(each["state"] for each in classes)
     heads = ("class", "mm", "tubers", "kg", "% of weight", *(["contract"] if limits else []))
     table = Table(*heads, title=Text(f"classes: {contract}"), title_justify="left")
-    for each in classes:
+    counts = rounded_to_sum([each["count"] for each in classes])
+    weights_kg = rounded_to_sum([each["weight_g"] / 1000 for each in classes], digits=2)
+    percents = rounded_to_sum([each["percent"] for each in classes], digits=1)
+    for each, count, weight_kg, percent in zip(classes, counts, weights_kg, percents, strict=True):
         to_mm = each["to_mm"]
         edges = f"{each['from_mm']:g} and more" if to_mm is None else f"{each['from_mm']:g} to {to_mm:g}"
         state = str(each["state"])
         table.add_row(
             Text(str(each["name"])),
             edges,
-            f"{each['count']:.0f} ({each['count_low']:.0f} to {each['count_high']:.0f})",
-            f"{each['weight_g'] / 1000:.2f} ({each['low_g'] / 1000:.2f} to {each['high_g'] / 1000:.2f})",
-            f"{each['percent']:.1f} ({each['percent_low']:.1f} to {each['percent_high']:.1f})",
+            f"{count:.0f} ({each['count_low']:.0f} to {each['count_high']:.0f})",
+            f"{weight_kg:.2f} ({each['low_g'] / 1000:.2f} to {each['high_g'] / 1000:.2f})",
+            f"{percent:.1f} ({each['percent_low']:.1f} to {each['percent_high']:.1f})",
             *([Text(state, style=COLOURS[state])] if limits else []),
         )
     return table
@@ -36,9 +41,10 @@ def class_table(contract: str, classes: Sequence[Mapping[str, Any]]) -> Table:
 def classes_line(classes: Sequence[Any]) -> str:
     """The same in one line of markup, the contract's limits lit; `classes` are `ClassTotal`."""
     told = []
-    for each in classes:
+    percents = rounded_to_sum([each.percent for each in classes], digits=1)
+    for each, percent in zip(classes, percents, strict=True):
         colour = COLOURS[each.state]
-        text = f"{Text(each.name).markup} {each.percent:.1f} %"
+        text = f"{Text(each.name).markup} {percent:.1f} %"
         told.append(f"[{colour}]{text}[/]" if colour else text)
     return "   ".join(told)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from conveyor.messages import CameraInfo, Totals
 from conveyor.messages.loads import LoadNow
+from conveyor.rounding import rounded_to_sum
 from viewer.page.alarms import Alarm, Level, alarms, layers
 from viewer.page.state import STALE_S, WEIGHTS, LineState, NodeState, ToldLoad
 
@@ -97,12 +98,16 @@ def _now(load: LoadNow) -> dict[str, Any]:
 
 
 def _matter(told: Totals | LoadNow) -> dict[str, Any]:
-    """Classes of the contract, and what is no tuber, as shares of the weight."""
+    """Classes of the contract, and what is no tuber, as shares of the weight; those of the classes as they are shown,
+    to 0.1 %.
+    """
     foreign = told.foreign
     shares = (
         None if foreign is None else (foreign.weight_percent_low, foreign.weight_percent, foreign.weight_percent_high)
     )
-    return {"classes": [asdict(each) for each in told.classes], "foreign_percent": shares}
+    percents = rounded_to_sum([each.percent for each in told.classes], digits=1)
+    classes = [{**asdict(each), "percent": percent} for each, percent in zip(told.classes, percents, strict=True)]
+    return {"classes": classes, "foreign_percent": shares}
 
 
 def _shown_cameras(state: LineState) -> list[str]:

@@ -10,6 +10,7 @@ from aggregator.ledger.totals_by import Total
 from conveyor import __version__
 from conveyor.contract import Contract
 from conveyor.messages import ClassTotal
+from conveyor.rounding import rounded_to_sum
 from tuberline.export.report.gather import DayFacts, LoadFacts
 from tuberline.export.report.page import Align, Bars, Block, Figures, Grid, Picture, Report, Sentences
 from tuberline.export.report.wrong import what_went_wrong
@@ -140,17 +141,20 @@ def _sizes(facts: DayFacts) -> list[Block]:
     if not facts.classes:
         return [Sentences("Sizes", ("No tuber of these loads has a size: their weights do not tell it.",))]
     whole_kg = facts.total.sums.estimated_g / 1000
+    counts = rounded_to_sum([each.count for each in facts.classes])
+    percents = rounded_to_sum([each.percent for each in facts.classes], digits=1)
+    weights_kg = rounded_to_sum([whole_kg * each.percent / 100 for each in facts.classes], digits=1)
     rows = tuple(
         (
             each.name,
             _edges(each),
-            f"{each.count:.0f}",
-            kg(whole_kg * each.percent / 100, unit=False),
-            f"{each.percent:.1f} %",
+            f"{count:.0f}",
+            kg(weight_kg, unit=False),
+            f"{percent:.1f} %",
             f"{each.percent_low:.0f}–{each.percent_high:.0f} %",
             each.state or NONE,
         )
-        for each in facts.classes
+        for each, count, percent, weight_kg in zip(facts.classes, counts, percents, weights_kg, strict=True)
     )
     heads = ("Class", "mm", "Tubers", "kg", "Of the weight", "90 % interval", "Contract")
     grid = Grid(f"Sizes ({facts.contract.told})", _columns(heads, left=2), rows)
