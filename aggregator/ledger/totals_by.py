@@ -38,7 +38,8 @@ class Total:
 
     `loads`: how many. `weighed`: how many of them have a net ticket, and `net_g` what those say together; `raw_g` is
     the estimate of all before any calibration. `remarks`: which of their runs were cut off or repaired with losses, in
-    sentences.
+    sentences. `without_load`: in how many runs some of it passed while no load was open; that is no load, and in all
+    else.
     """
 
     label: str
@@ -48,6 +49,7 @@ class Total:
     raw_g: float
     sums: Together
     remarks: tuple[str, ...] = ()
+    without_load: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,8 @@ class Labelled:
     """A load to be added, with the label that it has by each of `BY`.
 
     `net_g` is what a scale said. `load` is None for a run without loads, and for what passed without one; `run` is the
-    one in which that was, or in which the load began. `remarks`: as in `Total`.
+    one in which that was, or in which the load began. `is_load`: it is more than what passed without one. `remarks`: as
+    in `Total`.
     """
 
     labels: dict[str, str]
@@ -64,6 +67,7 @@ class Labelled:
     load: Load | None
     unseen_m: Mapping[str, float]
     run: str
+    is_load: bool
     remarks: tuple[str, ...]
 
     @property
@@ -212,15 +216,16 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
             net = load.ticket(net=True)
             net_g = net.ticket_g if net else None
             remarks = ledger.remarks(run for run, _ in load.spans)
-            told = Labelled(_labels(load), one, net_g, load, counted.unseen_m, load.run, remarks)
+            told = Labelled(_labels(load), one, net_g, load, counted.unseen_m, load.run, True, remarks)
             found.append((load.began_ns, told))
     for name, run in ledger.runs.items():
         rest = _rest(ledger, run)
         if rest is not None:
-            label = f"{name}, without a load" if name in ledger.loads.spans else name
+            is_load = name not in ledger.loads.spans
+            label = name if is_load else f"{name}, without a load"
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
             labels = _run_labels(label, _harvested_ns(run, seen[name]), ledger.utc_offset_s(name))
-            told = Labelled(labels, one, None, None, rest.unseen_m, name, ledger.remarks([name]))
+            told = Labelled(labels, one, None, None, rest.unseen_m, name, is_load, ledger.remarks([name]))
             found.append((run.started_ns, told))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
@@ -298,7 +303,8 @@ def total_of(label: str, loads: Sequence[Labelled]) -> Total:
     tickets_g = [load.net_g for load in loads if load.net_g is not None]
     sums, raw_g = together_of(loads)
     remarks = tuple(dict.fromkeys(words for load in loads for words in load.remarks))
-    return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, sums, remarks)
+    count = sum(load.is_load for load in loads)
+    return Total(label, count, len(tickets_g), sum(tickets_g), raw_g, sums, remarks, len(loads) - count)
 
 
 def together_of(loads: Sequence[Labelled]) -> tuple[Together, float]:

@@ -168,7 +168,7 @@ def test_the_report_of_a_day_tells_of_its_refused_tickets_alone(path: Path, raw_
     report = report_of(day_facts([path]), map_png=None, map_note="")
     (grid,) = [block for block in report.blocks if isinstance(block, Grid) and block.title == "Loads"]
     scale = kg(2 * raw_kg["A"], unit=False)
-    assert [row[-1] for row in grid.rows] == ["–", scale, "–", f"{scale} (1 of 3)"], "it stood beside the weight of all"
+    assert [row[-1] for row in grid.rows] == ["–", scale, "–", f"{scale} (1 of 2)"], "it stood beside the weight of all"
 
 
 def test_a_running_line_says_it_as_a_ledger_at_rest_does(path: Path, raw_kg: dict[str, float], tmp_path: Path) -> None:

@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
+from conveyor.messages import LoadOrder
 from tests.aggregator.belt_story import tell
-from tests.aggregator.loaded_story import Loads, story
+from tests.aggregator.loaded_story import Loads, story, told_with_loads
 from tests.aggregator.virtual_line import undisturbed
 from tuberline.api.runs import read_totals
 from tuberline.cli.export import export
@@ -68,6 +70,31 @@ def test_what_was_not_seen_weighs_nothing_that_is_known(tmp_path: Path, capsys: 
     assert figures.items[0] == ("Potatoes", "–", "no belt was seen")
     grid = next(block for block in report.blocks if isinstance(block, Grid))
     assert [row[5:9] for row in grid.rows] == [("–",) * 4] * 2
+
+
+def test_what_passed_without_a_load_is_no_load(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four that were started and such belt were a 'report of 5 loads', and with their tickets '4 of 5' on scales."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        told_with_loads(ledger)
+    for load in ("A", "B"):
+        assert order_at_rest(tmp_path / "ledger.db", LoadOrder(load, "ticket", load=load, kg=1.2)).done
+    found = {total.label: total for total in read_totals(tmp_path, by="load")}
+    assert {label: (each.loads, each.weighed, each.without_load) for label, each in found.items()} == {
+        "1 A": (1, 1, 0), "2 B": (1, 1, 0), "story, without a load": (0, 0, 1), "all": (2, 2, 1),
+    }  # fmt: skip
+    assert found["all"].sums.tubers == sum(each.sums.tubers for label, each in found.items() if label != "all")
+    totals(tmp_path)
+    told = capsys.readouterr().out
+    assert "(2 of 2)" in told
+    assert [line.split()[1] for line in told.splitlines() if line.startswith(("1 A", "all "))] == ["A", "2"]
+    assert "a load - " in " ".join(told.split())
+    export([tmp_path], format="html", out=tmp_path / "day.html")
+    assert capsys.readouterr().out.startswith("report of 2 loads and what passed without one in ")
+    report = report_of(day_facts([tmp_path]), map_png=None, map_note="")
+    figures = next(block for block in report.blocks if isinstance(block, Figures))
+    assert figures.items[1] == ("Loads", "2", f"{found['all'].sums.tubers} tubers, some without one")
+    by_variety = next(block for block in report.blocks if isinstance(block, Grid) and block.title == "By variety")
+    assert [(row[1], row[6]) for row in by_variety.rows] == [("1", "1 of 1")] * 2, "of B no variety is told"
 
 
 @pytest.mark.parametrize(

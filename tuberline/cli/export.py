@@ -155,8 +155,10 @@ def _report(
 
     drawn = field if isinstance(field, FieldMap) else None
     with ledger_bar("report"):
-        loads = write_report(runs, target, pdf=pdf, field=drawn, no_map=no_map, day=day, contract=contract)
-    sys.stdout.write(f"report of {loads} load{'s' * (loads != 1)} in {target}\n")
+        total = write_report(runs, target, pdf=pdf, field=drawn, no_map=no_map, day=day, contract=contract)
+    loads = f"{total.loads} load{'s' * (total.loads != 1)}" if total.loads else ""
+    rest = f"what passed without {'one' if loads else 'a load'}" if total.without_load else ""
+    sys.stdout.write(f"report of {' and '.join(filter(None, (loads, rest)))} in {target}\n")
 
 
 def _field(

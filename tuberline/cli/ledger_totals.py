@@ -81,7 +81,7 @@ def print_totals(found: list[Total], remarks: list[str], by: str) -> None:
         scales = f"{total.net_g / 1000:.1f}\n({total.weighed} of {total.loads})" if total.weighed else "-"
         table.add_row(
             Text(total.label),
-            str(total.loads),
+            str(total.loads) if total.loads else "-",  # what passed without one
             str(sums.tubers),
             # No weight where no belt was seen, which is not one of 0 kg.
             f"{total.raw_g / 1000:.2f}" if sums.saw else "-",

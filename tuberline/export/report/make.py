@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aggregator.ledger.totals_by import Total
 from conveyor.files import whole_output
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.html import report_html
@@ -25,8 +26,8 @@ def write_report(
     no_map: str = "",
     day: str | None = None,
     contract: Path | None = None,
-) -> int:
-    """Write the report of `day`, whole or not at all; returns how many loads it tells of.
+) -> Total:
+    """Write the report of `day`, whole or not at all; returns what it tells of all loads together.
 
     Args:
         field: the map, where positions are known; `no_map`: why there is none although they are.
@@ -48,7 +49,7 @@ def write_report(
     made = report_pdf(report) if pdf else report_html(report).encode()
     with whole_output(out) as path:
         path.write_bytes(made)
-    return len(facts.loads)
+    return facts.total
 
 
 def _drawn(field: FieldMap) -> bytes:

@@ -54,13 +54,19 @@ def _figures(facts: DayFacts) -> Figures:
         ("Potatoes", kg(sums.estimated_g / 1000), f"90 %: {_between(sums.low_g / 1000, sums.high_g / 1000)}")
         if sums.saw
         else ("Potatoes", NONE, "no belt was seen"),
-        ("Loads", str(facts.total.loads), f"{sums.tubers:,} tubers".replace(",", " ")),
+        ("Loads", str(facts.total.loads), _tubers(facts.total)),
         ("Belt seen", _percent(sums.coverage), _unseen(sums.coverage)),
     ]
     if foreign is not None:
         low, high = foreign.percent_low, foreign.percent_high
         items.append(("Clods, stones, haulm", f"{foreign.percent:.1f} %", f"by count; 90 %: {low:.1f} to {high:.1f} %"))
     return Figures(tuple(items))
+
+
+def _tubers(total: Total) -> str:
+    """How many passed, and that some of them, or all, did so without a load."""
+    told = f"{total.sums.tubers:,} tubers".replace(",", " ")
+    return told if not total.without_load else f"{told}, some without one" if total.loads else f"{told} without one"
 
 
 def _unseen(coverage: float | None) -> str:
@@ -120,11 +126,11 @@ def _group(name: str, totals: Sequence[Total]) -> Grid:
     rows = tuple(
         (
             total.label,
-            str(total.loads),
+            str(total.loads) if total.loads else NONE,
             str(total.sums.tubers),
             *_of_all(total)[1:],
             _percent(total.sums.coverage),
-            f"{total.weighed} of {total.loads}",
+            f"{total.weighed} of {total.loads}" if total.loads else NONE,
         )
         for total in totals
     )
