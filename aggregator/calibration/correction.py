@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from aggregator.calibration.evidence import Evidence, gather
 from aggregator.calibration.tickets import Ticket
 from conveyor import load_spread
-from conveyor.cultivar import as_first_given, cultivar_key
+from conveyor.cultivar import cultivar_key
 from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM, factor_sd
 from conveyor.resting import RestingLevel
+from conveyor.typed_names import as_first_given
 
 Floats = NDArray[np.float64]
 

@@ -21,10 +21,12 @@ from aggregator.ledger.reader import RunRow, ledger_file, reading
 from aggregator.ledger.stated import Stated
 from aggregator.ledger.ticket_doubts import ledger_doubts, of_other_weights
 from conveyor.config import REPLAY_NAME
-from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
+from conveyor.typed_names import name_key
 
 BY = ("load", "field", "variety", "day", "season")
+TYPED = ("field", "variety")
+"""Names that people type: those that differ in capitals and spaces alone are one, called as it was first."""
 NOT_TOLD = "(not told)"
 ALL = "all"
 DAY = "%Y-%m-%d"
@@ -201,7 +203,7 @@ def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
     groups: dict[str, list[Labelled]] = {}
     for load in loads:
         label = load.labels[by]
-        groups.setdefault(cultivar_key(label) if by == "variety" else label, []).append(load)
+        groups.setdefault(name_key(label) if by in TYPED else label, []).append(load)
     return [total_of(group[0].labels[by], group) for group in groups.values()]
 
 

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -44,6 +45,8 @@ from tests.aggregator.virtual_line import undisturbed
 from tuberline.api.runs import read_totals
 from tuberline.cli.calibrate_load import calibrate_load
 from tuberline.cli.ticket_options import TicketOptions
+from tuberline.export.isoxml.task_data import _partfields
+from tuberline.export.tubers import about
 
 DAY_NS = 86_400 * S
 CLASSES = '[[classes]]\nname = "small"\nto_mm = 50\n[[classes]]\nname = "large"\nfrom_mm = 50\n'
@@ -200,6 +203,25 @@ def test_loads_of_one_variety_are_together_however_it_was_typed(tmp_path: Path) 
     assert one["Agria"].loads == both["Agria"].loads + both["Fontane"].loads
     assert one["Agria"].sums.tubers == both["Agria"].sums.tubers + both["Fontane"].sums.tubers
     assert set(one) == {"Agria", NOT_TOLD, ALL}
+
+
+def test_loads_of_one_field_are_together_however_it_was_typed(tmp_path: Path) -> None:
+    """'Kamp' and ' kamp' were two fields, in totals, reports and TASKDATA."""
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
+    both = {t.label: t for t in totals_by([path], "field")[0]}
+    order_at_rest(path, LoadOrder("d", "note", by="test", load="B", fields={"field": " KAMP"}))
+    one = {t.label: t for t in totals_by([path], "field")[0]}
+    assert set(both) - set(one) == {"Berg"}
+    assert (one["Kamp"].loads, one[ALL].loads) == (2, 2)
+    assert one["Kamp"].sums.tubers == both["Kamp"].sums.tubers + both["Berg"].sums.tubers
+    assert set(one) == {"Kamp", NOT_TOLD, ALL}
+    (about_run,) = about([path])["runs"]
+    names = [(pair["field"].strip().casefold(), pair["variety"]) for pair in about_run["grown"]]
+    assert names == [("kamp", "Agria"), ("kamp", "Fontane")]
+    root = ElementTree.Element("ISO11783_TaskData")
+    assert list(_partfields(root, about_run["grown"])) == ["kamp"]
+    assert [each.get("C") for each in root.iter("PFD")] == ["Kamp"]
 
 
 def test_tickets_of_loads_calibrate_the_others(tmp_path: Path) -> None:

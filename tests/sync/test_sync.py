@@ -86,20 +86,21 @@ def test_a_sync_brings_all_and_a_second_one_nothing(empty: Postgres, ledger: Pat
     assert total[3] < total[2] < total[4]
 
 
-def test_a_variety_is_one_however_it_is_typed(empty: Postgres, ledger: Path) -> None:
+@pytest.mark.parametrize("by", ["variety", "field"])
+def test_a_name_is_one_however_it_is_typed(by: str, empty: Postgres, ledger: Path) -> None:
     with connect(empty.url) as connection:
         push(connection, ledger)
     typed = (("Agria", 1), ("  agria ", 2), ("AGRIA", 4), ("Agria  Gold", 8), ("agria gold", 16))
     with psycopg.connect(empty.url, autocommit=True) as connection:
-        for place, (variety, tubers) in enumerate(typed, start=100):
+        for place, (name, tubers) in enumerate(typed, start=100):
+            named = ", ".join("%s::text" if column == by else column for column in ("field", "variety"))
             connection.execute(
-                "INSERT INTO tuberline.load SELECT line, ledger, %s, load, field, %s, day, %s, raw_kg, weight_kg,"
+                f"INSERT INTO tuberline.load SELECT line, ledger, %s, load, {named}, day, %s, raw_kg, weight_kg,"
                 " low_kg, high_kg, coverage, ticket_kg FROM tuberline.load WHERE place < 100 ORDER BY place LIMIT 1",
-                (place, variety, tubers),
+                (place, name, tubers),
             )
         found = connection.execute(
-            "SELECT variety, loads, tubers FROM tuberline.totals_by_variety WHERE variety ILIKE 'agria%'"
-            " ORDER BY variety"
+            f"SELECT {by}, loads, tubers FROM tuberline.totals_by_{by} WHERE {by} ILIKE 'agria%' ORDER BY {by}"
         ).fetchall()
     assert found == [("Agria", 3, 7), ("Agria  Gold", 2, 24)]
 

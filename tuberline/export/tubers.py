@@ -16,6 +16,7 @@ from conveyor import __version__
 from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
+from conveyor.typed_names import name_key
 from tuberline.export.table import Column, Table, in_batches
 from tuberline.maps.field import FieldPlaces
 
@@ -134,7 +135,7 @@ def _grown(loads: Sequence[Labelled]) -> list[dict[str, str]]:
     for load in loads:
         if load.one.totals.sums.count:
             field, variety = load.load.field if load.load else "", load.one.variety
-            pairs.setdefault((field, cultivar_key(variety)), (field, variety))
+            pairs.setdefault((name_key(field), cultivar_key(variety)), (field, variety))
     return [{"field": field, "variety": variety} for field, variety in pairs.values() if field or variety]
 
 

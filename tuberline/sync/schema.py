@@ -9,8 +9,14 @@ NEWEST = "told"
 LOCK = 0x54554252
 """'TUBR': two machines that sync for the first time at once make the tables one after the other."""
 
-ONE_VARIETY = r"lower(regexp_replace(btrim(variety), '\s+', ' ', 'g'))"
-"""'Agria', 'agria' and ' AGRIA' are one, as in `conveyor.cultivar`; it is told as it was first given."""
+
+def _as_typed(column: str) -> tuple[str, str]:
+    """(a name as it was first given, what names have in common that are one: 'Agria', 'agria' and ' AGRIA' are), as in
+    `conveyor.typed_names`.
+    """
+    first = f"(array_agg({column} ORDER BY day, ledger, place))[1]"
+    return first, rf"lower(regexp_replace(btrim({column}), '\s+', ' ', 'g'))"
+
 
 STATEMENTS: tuple[str, ...] = (
     f"CREATE SCHEMA IF NOT EXISTS {SCHEMA}",
@@ -72,8 +78,8 @@ STATEMENTS: tuple[str, ...] = (
             sum(high_kg) AS high_kg, sum(ticket_kg) AS ticket_kg
         FROM {SCHEMA}.load GROUP BY {alike}"""
         for by, told, alike in (
-            ("field", "field", "field"),
-            ("variety", "(array_agg(variety ORDER BY day, ledger, place))[1]", ONE_VARIETY),
+            ("field", *_as_typed("field")),
+            ("variety", *_as_typed("variety")),
             ("day", "day", "day"),
             ("line", "line", "line"),
         )

@@ -19,7 +19,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from conveyor import __version__
-from conveyor.cultivar import as_first_given, cultivar_key
+from conveyor.cultivar import cultivar_key
+from conveyor.typed_names import as_first_given, name_key
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records
 from tuberline.maps.field import FieldPlaces, MachineShare
 
@@ -109,23 +110,27 @@ def _device(root: ElementTree.Element) -> None:
 
 
 def _partfields(root: ElementTree.Element, grown: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Crop, varieties and fields that the loads name; ids of the fields by their names. Of a field with several
-    varieties none is said to be its own; how large a field is no load says (0).
+    """Crop, varieties and fields that the loads name; ids of the fields by the keys of their names. Of a field with
+    several varieties none is said to be its own; how large a field is no load says (0).
     """
     varieties = as_first_given(pair["variety"] for pair in grown if pair["variety"])
-    fields: dict[str, set[str]] = {}
+    fields = as_first_given(pair["field"] for pair in grown if pair["field"])
+    lifted: dict[str, set[str]] = {key: set() for key in fields}
     for pair in grown:
         if pair["field"]:
-            fields.setdefault(pair["field"], set()).add(cultivar_key(pair["variety"]))
+            lifted[name_key(pair["field"])].add(cultivar_key(pair["variety"]))
     if not grown:
         return {}
     crop = ElementTree.SubElement(root, "CTP", A="CTP-1", B=CROP)
     variety_ids = {key: f"CVT-{n}" for n, key in enumerate(varieties, start=1)}
     for key, variety in varieties.items():
         ElementTree.SubElement(crop, "CVT", A=variety_ids[key], B=variety[:MOST_TEXT])
-    ids = {name: f"PFD-{n}" for n, name in enumerate(fields, start=1)}
-    for name, keys in fields.items():
-        of_field = ElementTree.SubElement(root, "PFD", A=ids[name], C=name[:MOST_TEXT], D="0", G="CTP-1")
+    ids = {key: f"PFD-{n}" for n, key in enumerate(fields, start=1)}
+    for key, name in fields.items():
+        of_field, keys = (
+            ElementTree.SubElement(root, "PFD", A=ids[key], C=name[:MOST_TEXT], D="0", G="CTP-1"),
+            lifted[key],
+        )
         if len(keys) == 1 and (variety_id := variety_ids.get(*keys)):
             of_field.set("H", variety_id)
     return ids
@@ -135,7 +140,7 @@ def _task(
     root: ElementTree.Element, n: int, share: MachineShare, told: dict[str, Any], partfields: Mapping[str, str]
 ) -> None:
     task = ElementTree.SubElement(root, "TSK", A=f"TSK-{n}", B=share.run[:MOST_TEXT], G="4")
-    fields = list(dict.fromkeys(pair["field"] for pair in told["grown"] if pair["field"]))
+    fields = list(as_first_given(pair["field"] for pair in told["grown"] if pair["field"]))
     if len(fields) == 1:  # a task is of one field at most
         task.set("E", partfields[fields[0]])
     start, stop = (datetime.fromtimestamp(at, UTC) for at in (share.points.time_s[0], share.points.time_s[-1]))
