@@ -56,6 +56,28 @@ def test_a_url_that_is_no_hub_is_refused_with_the_form_of_one(url: str) -> None:
     assert url in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "is empty: write a token of 16 to 256 ASCII characters into it"),
+        (" \n", "is empty: write a token"),
+        ("short", "holds 5 characters; give 16 to 256 ASCII ones"),
+    ],
+)
+def test_a_file_without_a_token_is_refused(content: str, told: str, tmp_path: Path) -> None:
+    """With an empty one the page only looked, without a word; containers give the null device for that."""
+    from conveyor.errors import ConfigError
+    from tuberline.cli.page import _token
+
+    (file := tmp_path / "token").write_text(content)
+    with pytest.raises(ConfigError, match=told) as refusal:
+        _token(file)
+    assert str(refusal.value).startswith(f"--token-file {file} ")
+    file.write_text("a-token-of-this-test\n")
+    assert _token(file) == "a-token-of-this-test"
+    assert _token(Path("/dev/null")) == ""
+
+
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     from conveyor.errors import ConfigError

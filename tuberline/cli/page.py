@@ -48,8 +48,8 @@ def page(
         deploy/proxy before it.
     token_file
         A file with the token, at least 16 characters, that a browser needs to start and end loads and to enter
-        tickets. Without one a terminal gets a new token at each start; elsewhere the page only looks, as with an
-        empty file.
+        tickets. Without one a terminal gets a new token at each start; elsewhere the page only looks, as with
+        /dev/null. An empty file is refused.
     """
     from conveyor.access import known_nodes
     from conveyor.notify import notify
@@ -128,11 +128,22 @@ def _live_maps(addresses: list[LineAddress], maps: FieldMaps) -> list[LiveMap]:
 def _token(file: Path | None) -> str:
     """The token of `file`, or a new one where a person sees it: a journal keeps no secrets. '' elsewhere.
 
-    An empty file is none too: containers mount one where no one is to act.
+    The null device is none, too: containers mount it where no one is to act.
+
+    Raises:
+        ConfigError: the file cannot be read, is empty, or holds what is no token.
     """
     if file is None:
         return secrets.token_urlsafe(12) if sys.stdout.isatty() else ""
     token = read_text(file, what="--token-file", error=ConfigError).strip()
-    if (token and not 16 <= len(token) <= 256) or not token.isascii():
+    if not token:
+        if file.is_char_device():
+            return ""
+        raise ConfigError(
+            f"--token-file {file} is empty: write a token of 16 to 256 ASCII characters into it, as python3 -c 'import "
+            "secrets; print(secrets.token_urlsafe())' makes one, or give --token-file /dev/null for a page that only "
+            "looks"
+        )
+    if not 16 <= len(token) <= 256 or not token.isascii():
         raise ConfigError(f"--token-file {file} holds {len(token)} characters; give 16 to 256 ASCII ones")
     return token
