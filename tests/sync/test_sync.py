@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -35,14 +34,6 @@ START_NS = 1_789_400_000_000_000_000
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[Postgres]:
-    server = Postgres()
-    server.start()
-    yield server
-    server.remove()
-
-
-@pytest.fixture(scope="module")
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run."""
     sys.stdout.write(f"seed {SEED}\n")
@@ -51,14 +42,6 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     crossed_ns = START_NS + np.sort(rng.integers(0, 10**11, TUBERS))
     write_run(folder, run="monday", crossed_ns=crossed_ns, weight_g=rng.normal(120, 30, TUBERS).clip(20))
     return folder
-
-
-@pytest.fixture
-def empty(server: Postgres) -> Postgres:
-    """The server without anything of ours."""
-    with psycopg.connect(server.url, autocommit=True) as connection:
-        connection.execute("DROP SCHEMA IF EXISTS tuberline CASCADE")
-    return server
 
 
 def tubers_there(server: Postgres) -> list[tuple[int, float]]:

@@ -6,7 +6,7 @@ import json as json_module
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from aggregator.ledger.totals_by import Total
@@ -34,7 +34,7 @@ def totals(
     tickets
         A file of tickets beside these, as `tuberline calibrate` keeps it: they calibrate all of the loads.
     json
-        For machines.
+        For machines; in grams, null where no belt was seen.
     """
     from aggregator.calibration.tickets import read_tickets
     from aggregator.ledger.totals_by import all_loads, sums_by
@@ -49,7 +49,7 @@ def totals(
     if json:
         values = {
             "by": by,
-            "totals": [asdict(total) for total in sums],
+            "totals": [_plain(total) for total in sums],
             "tickets_refused": found.refused,
             "tickets_doubted": found.doubts,
         }
@@ -57,6 +57,15 @@ def totals(
         return
     refused = [f"a ticket does not calibrate: {words}" for words in found.refused]
     print_totals(sums, [*refused, *found.doubts], by)
+
+
+def _plain(total: Total) -> dict[str, Any]:
+    """As values of JSON; without a weight where no belt was seen, which is not one of 0 g."""
+    values = asdict(total)
+    if not total.sums.saw:
+        values["raw_g"] = None
+        values["sums"] |= dict.fromkeys(name for name in values["sums"] if name.endswith("_g"))
+    return values
 
 
 def print_totals(found: list[Total], remarks: list[str], by: str) -> None:

@@ -51,6 +51,10 @@ _SERVER = {
     "tcp_keepalives_interval": "5",
     "tcp_keepalives_count": "2",
 }
+UP_TO_DATE = (
+    f"SELECT to_regclass('{SCHEMA}.told') IS NOT NULL AND EXISTS (SELECT FROM pg_attribute WHERE "
+    f"attrelid = to_regclass('{SCHEMA}.load') AND attname = '{NEWEST}' AND NOT attisdropped)"
+)
 COLUMNS = (
     "run_id, tuber, crossed_at, weight_g, low_g, high_g, length_mm, width_mm, height_mm, place_x_m, place_y_m, views, "
     "method, model, flags, crc"
@@ -82,7 +86,7 @@ def connect(url: str) -> Any:
     try:
         options = " ".join(f"-c {name}={value}" for name, value in _SERVER.items())
         connection = psycopg.connect(url, connect_timeout=CONNECT_WITHIN_S, autocommit=True, options=options, **_LINK)
-        if connection.execute(f"SELECT to_regclass('{SCHEMA}.{NEWEST}')").fetchone() == (None,):
+        if connection.execute(UP_TO_DATE).fetchone() != (True,):
             with connection.transaction():
                 connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
                 for statement in STATEMENTS:
@@ -286,6 +290,7 @@ def _loads(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> int:
     for place, load in enumerate(labelled(ledger, tickets)):
         sums, raw_g = together_of([load])
         labels = load.labels
+        grams = (raw_g, sums.estimated_g, sums.low_g, sums.high_g)
         rows.append(
             (
                 ledger.runs[load.run].line,
@@ -296,17 +301,15 @@ def _loads(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> int:
                 labels["variety"],
                 labels["day"],
                 sums.tubers,
-                raw_g / 1000,
-                sums.estimated_g / 1000,
-                sums.low_g / 1000,
-                sums.high_g / 1000,
+                *(g / 1000 if sums.saw else None for g in grams),  # none where no belt was seen, which is not 0 kg
                 sums.coverage,
                 None if load.net_g is None else load.net_g / 1000,
+                load.is_load,
             )
         )
     with connection.transaction(), connection.cursor() as cursor:
         cursor.execute(f"DELETE FROM {SCHEMA}.load WHERE ledger = ANY(%s)", (list(run_ids),))
-        cursor.executemany(f"INSERT INTO {SCHEMA}.load VALUES ({', '.join(['%s'] * 14)})", rows)
+        cursor.executemany(f"INSERT INTO {SCHEMA}.load VALUES ({', '.join(['%s'] * 15)})", rows)
         cursor.execute(f"DELETE FROM {SCHEMA}.told WHERE ledger = ANY(%s)", (list(run_ids),))
         if (newest := view.row(LOAD_EVENT, "ORDER BY n DESC")) is not None:
             cursor.execute(f"INSERT INTO {SCHEMA}.told VALUES (%s, %s, %s)", (run_ids[0], newest[0], checksum(newest)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 SCHEMA = "tuberline"
 VERSION = 1
-NEWEST = "told"
-"""The table that came last: the newest event of loads (start, note, ticket) that a ledger held when it was synced."""
+NEWEST = "is_load"
+"""The column of `load` that came last: false of what passed without one. A database that lacks it is brought up to
+date."""
 LOCK = 0x54554252
 """'TUBR': two machines that sync for the first time at once make the tables one after the other."""
 
@@ -60,20 +61,25 @@ STATEMENTS: tuple[str, ...] = (
         variety text NOT NULL,
         day date NOT NULL,
         tubers integer NOT NULL,
-        raw_kg double precision NOT NULL,
-        weight_kg double precision NOT NULL,
-        low_kg double precision NOT NULL,
-        high_kg double precision NOT NULL,
+        raw_kg double precision,
+        weight_kg double precision,
+        low_kg double precision,
+        high_kg double precision,
         coverage double precision,
         ticket_kg double precision,
         PRIMARY KEY (ledger, place))""",
+    f"ALTER TABLE {SCHEMA}.load ADD COLUMN IF NOT EXISTS {NEWEST} boolean NOT NULL DEFAULT true",
+    *(
+        f"ALTER TABLE {SCHEMA}.load ALTER COLUMN {kg} DROP NOT NULL"
+        for kg in ("raw_kg", "weight_kg", "low_kg", "high_kg")
+    ),
     f"""CREATE TABLE IF NOT EXISTS {SCHEMA}.told (
         ledger bigint PRIMARY KEY REFERENCES {SCHEMA}.run (id) ON DELETE CASCADE,
         event integer NOT NULL,
         crc bigint NOT NULL)""",
     *(
         f"""CREATE OR REPLACE VIEW {SCHEMA}.totals_by_{by} AS
-        SELECT {told} AS {by}, count(*) AS loads, sum(tubers) AS tubers,
+        SELECT {told} AS {by}, count(*) FILTER (WHERE is_load) AS loads, sum(tubers) AS tubers,
             sum(raw_kg) AS raw_kg, sum(weight_kg) AS weight_kg, sum(low_kg) AS low_kg,
             sum(high_kg) AS high_kg, sum(ticket_kg) AS ticket_kg
         FROM {SCHEMA}.load GROUP BY {alike}"""
@@ -85,6 +91,7 @@ STATEMENTS: tuple[str, ...] = (
         )
     ),
 )
-"""What makes the tables and views; each may be run again, and all are where `NEWEST` lacks. The bounds of a sum are
+"""What makes the tables and views; each may be run again, and all are where `NEWEST` or a table lacks. `told` has the
+newest event of loads (start, note, ticket) that a ledger held when it was synced. The bounds of a sum are
 the sums of the bounds, as if all loads were off together: what they share does, so the interval is too wide rather than
 too narrow."""
