@@ -7,11 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from aggregator.ledger.writer import Ledger
+from conveyor.errors import InputError
 from tests.aggregator.loaded_story import told_with_loads
 from tests.sync.postgres import Postgres
+from tests.written_run import write_run
 from tuberline.cli.ledger_totals import totals
 from tuberline.sync.push import connect, push
 from tuberline.sync.schema import SCHEMA
@@ -66,3 +69,23 @@ def test_a_database_of_before_is_brought_up_to_date(empty: Postgres, tmp_path: P
         assert (": 0 new tubers" not in done.stdout) == new
     with connect(empty.url) as connection:
         assert connection.execute(f"SELECT sum(loads) FROM {SCHEMA}.totals_by_line").fetchall() == [(3,)]
+
+
+def test_two_lines_of_one_name_are_told_what_helps_and_lose_no_tuber(empty: Postgres, tmp_path: Path) -> None:
+    """They were told to delete the run in the database, which is the other line's."""
+    crossed_ns = 1_789_400_000_000_000_000 + np.arange(20) * 10**9
+    one, other, fewer = (tmp_path / name for name in ("one", "other", "fewer"))
+    for folder, grams, count in ((one, 100.0, 20), (other, 150.0, 20), (fewer, 150.0, 9)):
+        write_run(folder, run="monday", line="north", crossed_ns=crossed_ns[:count], weight_g=np.full(count, grams))
+    with connect(empty.url) as connection:
+        push(connection, one)
+        there = connection.execute(f"SELECT tuber, weight_g FROM {SCHEMA}.tuber ORDER BY tuber").fetchall()
+        for folder in (other, fewer):
+            with pytest.raises(InputError) as refusal:
+                push(connection, folder)
+            told = str(refusal.value)
+            assert "another line that is called north, too" in told
+            assert "give one of them a name of its own" in told
+            assert "sync this run into a database of its own" in told
+            assert "DELETE" not in told.partition("Where that ledger counts no more, ")[0]
+        assert connection.execute(f"SELECT tuber, weight_g FROM {SCHEMA}.tuber ORDER BY tuber").fetchall() == there

@@ -204,12 +204,13 @@ def _newest(connection: Any, view: LedgerView, run: RunRow, run_id: int) -> int:
     if same is None:
         raise InputError(
             f"ledger {view.path} lacks tuber {number} of run {run.run} of line {run.line}, which the database "
-            "holds: it is an older copy of another ledger, or damaged; sync the one that has it"
+            "holds: it is an older copy of another ledger, or damaged; sync the one that has it. "
+            f"{_of_two_lines(run.line)}"
         )
     if same.tuber_id != number or _crc(same) != crc:
         raise InputError(
             f"the database holds another tuber {number} of run {run.run} of line {run.line}: it was synced from "
-            f"another ledger; {_afresh(run_id)}"
+            f"another ledger. {_of_two_lines(run.line)}. Where that ledger counts no more, {_afresh(run_id)}"
         )
     return int(number)
 
@@ -253,6 +254,15 @@ def _older_copy(run_id: int) -> str:
     return (
         "it is a copy of another ledger; sync the one that has it, which `tuberline load show` lists, or, if that is "
         f"gone, {_afresh(run_id)}"
+    )
+
+
+def _of_two_lines(name: str) -> str:
+    """What helps where two lines are called alike: to delete the run would take the other line's tubers."""
+    return (
+        f"Where it is of another line that is called {name}, too, and began a run in the same moment, give one of them "
+        "a name of its own (name in the line's file; its next run has it), and sync this run into a database of its "
+        "own: `tuberline ledger totals` adds up both"
     )
 
 
