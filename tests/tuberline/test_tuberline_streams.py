@@ -67,6 +67,64 @@ def test_the_exit_code_is_the_same_with_closed_streams(words: str, code: int, cl
         assert done.stdout == in_shell(words, "", runs).stdout
 
 
+def with_reader_gone(arguments: list[str], folder: Path, *, errors: bool) -> int:
+    """The exit code of a command that prints into a pipe whose reader has left before it began."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        return subprocess.run(
+            [sys.executable, *arguments],
+            stdout=write,
+            stderr=write if errors else subprocess.DEVNULL,
+            check=False,
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+            timeout=120,
+        ).returncode
+    finally:
+        os.close(write)
+
+
+@pytest.mark.parametrize("errors", [False, True], ids=["stdout", "both"])
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("--version", 0),
+        ("--help", 0),
+        ("config show", 0),
+        ("ledger check sound", 0),
+        ("ledger check damaged", 1),
+        ("ledger dump sound", 0),
+        ("ledger dump damaged", 2),
+        ("ledger totals sound", 0),
+        ("ledger totals sound --json", 0),
+        ("load show --ledger sound", 0),
+        ("audit sound", 0),
+        ("info nowhere", 2),
+        ("raplay", 2),
+    ],
+)
+def test_the_exit_code_is_the_same_when_the_reader_has_left(words: str, code: int, errors: bool, runs: Path) -> None:
+    """Of a command that printed once it was 0, for the pipe took that, and of one that printed twice 1: `| head -c 1`
+    made of a sound ledger's totals a failure, and a fault that `audit` finds has the same code.
+    """
+    assert with_reader_gone(["-m", "tuberline", *words.split()], runs, errors=errors) == code
+
+
+@pytest.mark.parametrize(("words", "code"), [(["top"], 0), (["ledger", "dump"], 0), (["audit"], 7)])
+def test_a_command_that_only_prints_ends_when_its_reader_has_left(words: list[str], code: int, tmp_path: Path) -> None:
+    """`top` would never end; what finds something goes on until it has found it."""
+    program = f"""
+import sys
+from tuberline.cli.streams import outlive_readers
+outlive_readers({words})
+for _ in range(1000):
+    print("x" * 1000, flush=True)
+sys.exit(7)
+"""
+    assert with_reader_gone(["-c", program], tmp_path, errors=False) == code
+
+
 def test_no_file_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     """A file that is opened later must not be what is written to as standard output or error, here or in a child."""
     code = (

@@ -7,6 +7,7 @@ import logging
 import os
 import sys
 import traceback
+from contextlib import suppress
 
 from conveyor.crash import end_on_faults
 from conveyor.errors import FAULT, PERMANENT, TuberlineError
@@ -14,7 +15,7 @@ from conveyor.files import told
 from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
 from tuberline.cli.leaving import leave_when_told, swallowed, told_to_end
-from tuberline.cli.streams import keep_standard_streams
+from tuberline.cli.streams import ReaderLeft, keep_standard_streams, outlive_readers
 from tuberline.cli.width import least_width
 
 NEW_OBJECTS = 20_000
@@ -32,6 +33,7 @@ def enter() -> None:
     from tuberline.orphan import watch_supervisor
 
     keep_standard_streams()
+    outlive_readers(sys.argv[1:])
     gc.set_threshold(NEW_OBJECTS)
     setup_logs()
     least_width()
@@ -58,8 +60,6 @@ def _run() -> int:
             return code
         say(f"tuberline: {error}\n")
         return error.exit_code
-    except BrokenPipeError:
-        return MACHINE_FAULT
     except OSError as error:
         say(f"tuberline: {told(error, 'the output')}\n")
         logging.getLogger("tuberline").debug("where it happened", exc_info=True)
@@ -88,10 +88,10 @@ def _run() -> int:
 def _flushed(code: int) -> int:
     """What is left of the output goes out now, where a full disk can still be told; returns the exit code."""
     try:
-        sys.stdout.flush()
+        with suppress(ReaderLeft):  # the command is over, and has its own code
+            sys.stdout.flush()
     except OSError as error:
-        if not isinstance(error, BrokenPipeError):
-            say(f"tuberline: {told(error, 'the standard output')}\n")
+        say(f"tuberline: {told(error, 'the standard output')}\n")
         # The interpreter would try again on its way out, and complain in words of its own.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = code or MACHINE_FAULT
