@@ -25,6 +25,7 @@ from aggregator.core.sight import CameraSight
 from aggregator.ledger.check import opening_faults
 from aggregator.ledger.committed import RunTubers
 from aggregator.ledger.faults import explained
+from aggregator.ledger.goes_on import check_goes_on
 from aggregator.ledger.load_keeper import LoadKeeper
 from aggregator.ledger.load_rows import SpanSums
 from aggregator.ledger.migrate import migrate
@@ -183,16 +184,7 @@ class Ledger:
                 begun = row((run, line, json.dumps(sorted(cameras)), fingerprint, version, started_ns))
                 self._begin(run, begun, RunSums(LoadSums(histogram_step_g), utc_offset_s=utc_offset_s))
                 return Restored()
-            if known.finished and not may_be_finished:
-                raise LedgerError(
-                    f"ledger {self.path} already holds run '{run}', finished: counting it again would count every "
-                    "tuber twice; give another --run, or another aggregator.out"
-                )
-            if list(known.cameras) != sorted(cameras):
-                raise LedgerError(
-                    f"run '{run}' in ledger {self.path} was begun with cameras {', '.join(known.cameras)}, the config "
-                    f"has {', '.join(sorted(cameras))}; fix the config or give another --run"
-                )
+            check_goes_on(known, self.path, cameras=cameras, may_be_finished=may_be_finished)
             return restore(self.view, known, self._go_on(run, histogram_step_g))
 
     def _begin(self, run: str, begun: tuple[Any, ...], sums: RunSums) -> None:

@@ -56,6 +56,26 @@ def test_a_line_ends_with_its_load_where_that_is_set(tmp_path: Path) -> None:
     assert summary["totals"]["count"] == 4
 
 
+def test_a_run_that_cannot_go_on_is_refused_before_any_process_starts(tmp_path: Path) -> None:
+    """Only the aggregator gave up: the line ran on, its cameras played, and nothing was counted."""
+    file = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="4"))
+    tuberline("run", file, "--run", "monday")
+    kept = (tmp_path / "run" / "summary.json").read_bytes()
+    ledger, text = tmp_path / "run" / "ledger.db", file.read_text()
+    for changed, said in (
+        (text, f"ledger {ledger} already holds run 'monday', finished: counting it again would count every tuber"),
+        (
+            text.replace("[cameras.front]", "[cameras.back]\ncamera = 'front'").replace("exit_when_final = true", ""),
+            f"run 'monday' in ledger {ledger} was begun with cameras front, the config has back; fix the config",
+        ),
+    ):
+        file.write_text(changed)
+        done = tuberline("run", file, "--run", "monday", check=False, timeout_s=60)
+        assert (done.returncode, done.stderr.startswith(f"tuberline: {said}")) == (2, True), done.stderr
+        assert len(done.stderr.splitlines()) == 1, "no process was started"
+    assert (tmp_path / "run" / "summary.json").read_bytes() == kept
+
+
 def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_ledger(tmp_path: Path) -> None:
     """There was none."""
     config = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="12"))

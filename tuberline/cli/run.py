@@ -43,6 +43,8 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     ------
     ConfigError
         A file that it names cannot be used, its recording lacks a camera, or its router would refuse it.
+    LedgerError
+        The run of that id is finished, or was begun with other cameras.
     TakenError
         Another router listens on the line's port; the text says who.
     """
@@ -53,6 +55,11 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
         check_access(line, config)
     if faults := unreadable_files(line):
         raise ConfigError(f"config {config}: {'; '.join(faults)}; the line would go without these, or count nothing")
+    if run is not None:
+        from aggregator.ledger.goes_on import check_run_goes_on
+
+        ledger, again = line.aggregator.out / "ledger.db", not line.aggregator.exit_when_final
+        check_run_goes_on(ledger, run, cameras=list(line.cameras), may_be_finished=again)
     run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     shown = sys.stderr.isatty()
     stop = threading.Event()
