@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -81,7 +82,7 @@ def examine(
     on_work("listening to the line", 2, 4)
     heard = Live() if offline else live or look(config)
     on_work("looking through the cameras", 3, 4)
-    findings += _cameras(config, alive=heard.alive)
+    findings += _cameras(config, heard)
     if not offline:
         port = link.check_port(config.link)
         findings += port + (link.no_router(config.link, port, heard.unreachable) or _running(config, heard))
@@ -142,11 +143,17 @@ def _weights(config: LineConfig) -> list[Finding]:
     return [_tried("weights", load, "set regressor.weights to a .safetensors or .pth that `tuberline evaluate` takes")]
 
 
-def _cameras(config: LineConfig, *, alive: set[str]) -> list[Finding]:
+def _cameras(config: LineConfig, live: Live) -> list[Finding]:
     found = []
     for name, camera in sorted(config.cameras.items()):
-        if camera.source != "recording" and f"camera/{name}" in alive:
+        node = f"camera/{name}"
+        at_work = node in live.alive
+        if at_work and camera.source != "recording":
             found.append(ok(f"camera {name}", "in use by its node, not touched"))
+            continue
+        told = live.nodes.get(node)
+        if at_work and told and told.host != socket.gethostname() and not (camera.path and camera.path.exists()):
+            found.append(ok(f"camera {name}", f"its node plays a recording on {told.host}, which is not on this host"))
             continue
         try:
             found += _camera(config, name)
