@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError, TuberlineError
+from conveyor.toml_words import toml_fault
 
 
 def read_text(path: Path, *, what: str = "", error: type[TuberlineError] = InputError) -> str:
@@ -47,7 +48,7 @@ def read_toml(path: Path, *, what: str = "", error: type[TuberlineError] = Input
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as fault:  # among them numbers too long and lists too deep to read
-        raise error(f"{what} {path}".strip() + f" is not TOML: {fault}") from fault
+        raise error(f"{what} {path}".strip() + f" is not TOML: {toml_fault(text, fault)}") from fault
 
 
 def json_of(text: str | bytes, *, where: str, error: type[TuberlineError] = InputError) -> Any:

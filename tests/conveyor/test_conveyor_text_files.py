@@ -140,3 +140,28 @@ def test_lines_of_positions_end_as_they_like(end: str, tmp_path: Path) -> None:
 def test_an_order_of_lists_in_lists_is_refused() -> None:
     with pytest.raises(TuberlineError, match="no JSON"):
         read_order(b"[" * 4096)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a = 1\na = 2\n", "line 2, `a = 2`: this key is given a second time: keep one of both"),
+        ("[a]\nb = 1\n\n[a]\n", "line 4, `[a]`: this section is begun a second time: put all of its keys below one"),
+        ("a = True", 'line 1, `a = True`: a value is text in "quotes", a number as 1.5, or true or false in small'),
+        ("b = 1\n  a = north\n", 'line 2, `a = north`: a value is text in "quotes"'),
+        ("a = 0,46\n", "line 1, `a = 0,46`: one value ends here: a number is written as 1.5, without comma, unit"),
+        ("a: 1\n", "line 1, `a: 1`: a line is `key = value` or `[section]`, and a remark begins with #"),
+        ("// rods\n", "line 1, `// rods`: a line is `key = value` or `[section]`, and a remark begins with #"),
+        ('a = "north\nb = 1\n', 'line 1, `a = "north`: a text ends with its quote on the same line'),
+        ('a = "C:\\Users"\n', 'line 1, `a = "C:\\Users"`: in "double quotes" each \\ of a path is doubled'),
+        ("a = [1, 2\n\n", "line 1, `a = [1, 2`: a list that begins with [ ends with ]"),
+        ("a" * 200, f"line 1, `{'a' * 80}...`: a line is `key = value`"),
+    ],
+)
+def test_what_is_no_toml_is_told_with_its_line_and_how_to_write_it(tmp_path: Path, text: str, told: str) -> None:
+    """It was `Cannot overwrite a value (at line 6, column 8)`: which one, and what to do, was left open."""
+    file = tmp_path / "line.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(TuberlineError) as caught:
+        load_config(file)
+    assert str(caught.value).startswith(f"config {file} is not TOML: {told}")
