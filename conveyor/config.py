@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 from urllib.parse import urlsplit
 
 import tomli_w
@@ -330,8 +330,10 @@ def _fault(fault: Any) -> str:
         return f"{where}: {told}" if said else f"{where}: {told} (got {shown})"
     if new_name := _new_name(fault["loc"]):
         return f"{where}: now '{new_name}'; write that instead"
-    known = _known_keys(fault["loc"][:-1])
-    near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
+    key, known = str(fault["loc"][-1]), _known_keys(fault["loc"][:-1])
+    if homes := _homes(key):
+        return f"{where}: unknown key here; it belongs to {' or '.join(homes)}"
+    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
     return f"{where}: unknown key; {hint}"
 
@@ -352,24 +354,25 @@ def _new_name(path: tuple[Any, ...]) -> str | None:
 
 def _known_keys(path: tuple[Any, ...]) -> list[str]:
     """Field names of the section at `path`, e.g. ('cameras', 'front') -> those of CameraConfig."""
-    if not path:
-        return sorted(LineConfig.model_fields)
-    if path[0] == "cameras":
-        return sorted((RealSenseConfig if path[2:] == ("realsense",) else CameraConfig).model_fields)
-    sections: dict[str, type[Section]] = {
-        "link": LinkConfig,
-        "access": AccessConfig,
-        "belt": BeltConfig,
-        "segmenter": SegmenterConfig,
-        "regressor": RegressorConfig,
-        "aggregator": AggregatorConfig,
-        "foreign": ForeignConfig,
-        "viewer": ViewerConfig,
-        "alarms": AlarmsConfig,
-        "gnss": GnssConfig,
-        "encoder": EncoderConfig,
-    }
-    return sorted(sections[path[0]].model_fields) if path[0] in sections else []
+    section = (RealSenseConfig if path[2:] == ("realsense",) else _SECTIONS.get(path[0])) if path else LineConfig
+    return sorted(section.model_fields) if section else []
+
+
+_SECTIONS: dict[str, type[Section]] = {
+    name: section
+    for name, field in LineConfig.model_fields.items()
+    for section in (field.annotation, *get_args(field.annotation))
+    if isinstance(section, type) and issubclass(section, Section)
+}
+"""The class of each section, or of each of its entries: cameras."""
+
+
+def _homes(key: str) -> list[str]:
+    """Where a key of just this name may stand, as who writes the file sees it."""
+    heads = {f"[{name}.NAME]" if name == "cameras" else f"[{name}]": section for name, section in _SECTIONS.items()}
+    homes = [head for head, section in heads.items() if key in section.model_fields]
+    homes += ["[cameras.NAME.realsense]"] * (key in RealSenseConfig.model_fields)
+    return (["the top of the file"] if key in ("name", *_SECTIONS) else []) + homes
 
 
 FILE = "file:"

@@ -77,17 +77,23 @@ def serial_rate(given: str | None, *, usual: int) -> int:
 
 WITH_PORT = ("tcp", "tls", "udp", "quic", "ws")
 """Protocols whose addresses are HOST:PORT."""
+WITH_PATH = ("unixsock-stream",)
+"""Those whose address is a path. Zenoh's library knows no others as it is built for Python."""
 
 
 def checked_endpoint(text: str) -> str:
     """`text` where it names a protocol and an address, as 'tcp/10.0.0.1:7447'; raises ValueError else."""
     protocol, slash, address = text.partition("/")
     host, _, port = re.split("[?#]", address)[0].rpartition(":")
-    whole = host and port.isdecimal() and int(port) <= 65535 if protocol in WITH_PORT else address
-    if slash and whole and protocol.replace("-", "").isalnum():
+    if protocol in WITH_PORT and host and port.isdecimal() and 0 < int(port) <= 65535:
         return text
-    host = (host if slash else text.split(":")[0]) or "HOST"
-    raise ValueError(f"'{text}' is no router's endpoint: write it like {protocol if slash else 'tcp'}/{host}:7447")
+    if protocol in WITH_PATH and address:
+        return text
+    host = (host.lstrip("/") if slash else text.split(":")[0]) or "HOST"
+    known = (*WITH_PORT, *WITH_PATH)
+    allowed = f"; protocols are {', '.join(known)}" if slash and protocol not in known else ""
+    protocol = protocol if protocol in WITH_PORT else "tcp"
+    raise ValueError(f"'{text}' is no router's endpoint: write it like {protocol}/{host}:7447{allowed}")
 
 
 Endpoint = Annotated[str, AfterValidator(checked_endpoint)]

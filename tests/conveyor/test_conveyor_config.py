@@ -31,6 +31,12 @@ def test_defaults_need_no_file() -> None:
         ("[segmenter]\nview_per_tuber = 3", "did you mean 'views_per_tuber'"),
         ("[segmentor]\nring = 3", "did you mean 'segmenter'"),
         ("[cameras.front]\nbelt_distance = 0.4", "did you mean 'belt_distance_m'"),
+        ("processes = 1", r"processes: unknown key here; it belongs to \[regressor\]$"),
+        ("[regressor]\nmerge_gate_mm = 20", r"regressor\.merge_gate_mm: .* belongs to \[aggregator\]$"),
+        ("[cameras.a]\nrouter = 'tcp/a:1'", r"cameras\.a\.router: .* belongs to \[link\]$"),
+        ("[cameras.a]\ngain = 3", r"cameras\.a\.gain: .* belongs to \[cameras\.NAME\.realsense\]$"),
+        ("[viewer]\nweights = 'a'", r"viewer\.weights: .* belongs to \[segmenter\] or \[regressor\]$"),
+        ("[link]\nname = 'a'", r"link\.name: .* belongs to the top of the file or \[gnss\] or \[encoder\]$"),
         ("[segmenter]\nring = 0", r"ring: must be at least 1 \(got 0\)"),
         ("[segmenter]\nviews_per_tuber = true", r"views_per_tuber: true and false are not allowed here .got true"),
         ("[cameras.front.realsense]\nlaser = true\nlaser_mw = true", r"laser_mw: true and false are not allowed here"),
@@ -92,11 +98,17 @@ def test_a_device_takes_no_path(source: str) -> None:
         ("tcp/10.0.0.1", "tcp/HOST:7447"),
         ("tls/edge:99999", "tls/edge:7447"),
         ("tcp/[::1]:x", "tcp/[::1]:7447"),
+        ("http://10.0.0.1:7447", "tcp/10.0.0.1:7447"),
+        ("tpc/edge:7447", "tcp/edge:7447"),
+        ("wss/edge:7447", "tcp/edge:7447"),
+        ("tcp/edge:0", "tcp/edge:7447"),
     ],
 )
 def test_a_router_that_is_no_endpoint_is_refused_at_once(tmp_path: Path, router: str, fix: str) -> None:
     """`config check` said that it is fine, and `tuberline watch edge` ended in a traceback of Zenoh."""
     told = f"'{router}' is no router's endpoint: write it like {fix}"
+    if router.partition("/")[0] in ("http:", "tpc", "wss"):
+        told += "; protocols are tcp, tls, udp, quic, ws, unixsock-stream"
     with pytest.raises(ConfigError) as caught:
         load_config(write(tmp_path, f'[link]\nrouter = "{router}"'))
     assert str(caught.value).splitlines()[1] == f"  link.router: {told}"
