@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from conveyor.errors import StorageError
+from conveyor.errors import LedgerError, StorageError
+from conveyor.files import cause, may_pass
 
 
 @contextmanager
@@ -16,7 +17,8 @@ def only_here(folder: Path | None, name: str) -> Iterator[None]:
     """Within this block no other process keeps the logs of `name` in `folder`; None: there are none to keep.
 
     Raises:
-        StorageError: another process does, or the folder cannot be written.
+        StorageError: another process does, or the folder's disk is full, read-only or away. LedgerError: the folder
+            cannot be made or written, and another try would not help.
     """
     if folder is None:
         yield
@@ -26,10 +28,10 @@ def only_here(folder: Path | None, name: str) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise StorageError(
-            f"{path} cannot be made: {error.strerror}; give the user write access, or name another folder in "
-            "segmenter.state_dir"
-        ) from error
+        taken = isinstance(error, FileExistsError)
+        why = f"a file is there: {folder}" if taken else cause(error)
+        text = f"folder {folder} for the camera's log (segmenter.state_dir) cannot be used: {why}; name another folder"
+        raise (StorageError(text) if may_pass(error) else LedgerError(text)) from error
     try:
         _take(lock, path)
         yield

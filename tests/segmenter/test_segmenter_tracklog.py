@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.errors import LedgerError, StorageError
+from conveyor.errors import PERMANENT, LedgerError, StorageError
 from conveyor.messages import Mark, Track
 from segmenter.log_store import LogStore
 from segmenter.log_writer import LogWriter
@@ -373,3 +373,15 @@ def test_one_process_at_a_time_keeps_a_cameras_logs(tmp_path: Path) -> None:
         child.kill()
     with only_here(tmp_path, "field.front"):
         pass
+
+
+def test_a_folder_of_logs_that_no_other_try_would_make_ends_for_good(tmp_path: Path) -> None:
+    """A segmenter tried again every 30 s forever, with exit code 75, and asked for write access to a file."""
+    file = tmp_path / "state"
+    file.touch()
+    for folder, why in ((file, f"a file is there: {file}"), (file / "below", "Not a directory")):
+        with pytest.raises(
+            LedgerError, match=rf"folder {folder} .*segmenter\.state_dir.* cannot be used: {why}"
+        ) as told:
+            only_here(folder, "field.front").__enter__()
+        assert told.value.exit_code == PERMANENT

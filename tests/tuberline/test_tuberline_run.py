@@ -123,6 +123,17 @@ def test_a_line_whose_only_camera_gave_up_ends_with_its_code_and_a_sentence(tmp_
     assert "nowhere does not exist" in done.stderr
 
 
+def test_a_line_whose_only_segmenter_gave_up_ends_with_its_code(tmp_path: Path) -> None:
+    """Its camera played on, and nothing was counted: no more than without a camera."""
+    file = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="4"))
+    (tmp_path / "state").touch()
+    done = tuberline("run", file, check=False, timeout_s=90)
+    assert done.returncode == 2
+    last = done.stderr[done.stderr.rindex("tuberline: ") :]
+    assert last.startswith("tuberline: the line is not kept up: segmenter-front gave up\n")
+    assert f"folder {tmp_path}/state for the camera's log (segmenter.state_dir) cannot be used" in done.stderr
+
+
 def test_a_line_whose_tickets_or_contract_cannot_be_read_is_refused_before_it_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,8 +25,8 @@ CLOCK_SLACK_S = 1.0
 
 
 def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: Path | None = None) -> None:
-    """Run a line until stopped, restarting whatever crashes. Ends by itself where no camera is left that could work,
-    and with its load where `aggregator.exit_when_final` is set.
+    """Run a line until stopped, restarting whatever crashes. Ends by itself where no camera is left that could be
+    counted, and with its load where `aggregator.exit_when_final` is set.
 
     Parameters
     ----------
@@ -111,15 +111,18 @@ def _is_final(summary: Path, run: str) -> bool:
 
 
 def raise_if_pointless(supervisor: Supervisor) -> None:
-    """A line without its router, without a single camera, or without a single node that works, is not kept up.
+    """A line without its router, without a single camera that is counted, or without a single node, is not kept up.
+
+    A camera is not counted where it gave up, or its segmenter did.
 
     Raises:
         TuberlineError: so it is; with the last words of those that gave up, and the exit code of the first.
     """
     failures = supervisor.failures
     nodes = set(supervisor.restarts) - {"router", "alarms"}
-    cameras = {name for name in nodes if name.startswith("camera-")}
-    if "router" in failures or nodes <= set(failures) or (cameras and cameras <= set(failures)):
+    cameras = {name.removeprefix("camera-") for name in nodes if name.startswith("camera-")}
+    lost = {camera for camera in cameras if {f"camera-{camera}", f"segmenter-{camera}"} & set(failures)}
+    if "router" in failures or nodes <= set(failures) or (cameras and cameras == lost):
         said = "\n".join(f"  {name}: {supervisor.last_words(name) or 'see above'}" for name in failures)
         error = TuberlineError(f"the line is not kept up: {', '.join(failures)} gave up\n{said}")
         error.exit_code = next(iter(failures.values()))
