@@ -164,20 +164,27 @@ def common_settings(link: LinkConfig, files: TlsFiles | None = None) -> dict[str
     }
 
 
-def _tls_files(link: LinkConfig, name: str) -> TlsFiles | None:
-    """The certificates of the process `name`; None where the link is plain."""
+def _has_certificates(link: LinkConfig) -> bool:
+    return bool(link.certs or link.root_ca or link.certificate or link.private_key)
+
+
+def link_fault(link: LinkConfig) -> str:
+    """What of [link] contradicts itself, whatever files are here; empty where nothing does."""
     endpoints = (link.router, *link.listen)
     encrypted = any(endpoint.startswith(ENCRYPTED) for endpoint in endpoints)
-    if not (link.certs or link.root_ca or link.certificate or link.private_key):
-        if encrypted:
-            raise ConfigError(
-                f"link uses {', '.join(endpoints)}: set link.certs (`tuberline certs make` fills a folder)"
-            )
+    if encrypted and not _has_certificates(link):
+        return f"link uses {', '.join(endpoints)}: set link.certs (`tuberline certs make` fills a folder)"
+    if _has_certificates(link) and not encrypted:
+        return f"link has certificates but link.router is {link.router}, not encrypted: make it tls/HOST:PORT"
+    return ""
+
+
+def _tls_files(link: LinkConfig, name: str) -> TlsFiles | None:
+    """The certificates of the process `name`; None where the link is plain."""
+    if fault := link_fault(link):
+        raise ConfigError(fault)
+    if not _has_certificates(link):
         return None
-    if not encrypted:
-        raise ConfigError(
-            f"link has certificates but link.router is {link.router}, not encrypted: make it tls/HOST:PORT"
-        )
     files = own_files(link.certs, name) if link.certs else (link.root_ca, link.certificate, link.private_key)
     root_ca, certificate, key = files
     if not (root_ca and certificate and key):

@@ -134,6 +134,40 @@ def test_a_line_whose_only_segmenter_gave_up_ends_with_its_code(tmp_path: Path) 
     assert f"folder {tmp_path}/state for the camera's log (segmenter.state_dir) cannot be used" in done.stderr
 
 
+def test_what_keeps_a_line_from_its_work_is_warned_of_by_config_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`config check` called each of these fine, and `run` gave up, or waited for a router that nobody reaches."""
+    (tmp_path / "file").touch()
+    (tmp_path / "belt.csv").touch()
+    file = tmp_path / "line.toml"
+    for text, told in (
+        ('[link]\nrouter = "tls/edge:7447"', "link uses tls/edge:7447: set link.certs"),
+        ('[link]\ncerts = "certs"', "link has certificates but link.router is tcp/127.0.0.1:7447, not encrypted"),
+        ('[link]\nrouter = "tls/edge:7447"\ncerts = "certs"', f"link.certs: there is no folder {tmp_path}/certs on"),
+        (
+            '[link]\nlisten = ["tcp/0.0.0.0:7448"]',
+            "link.listen: the router listens on port 7448, and link.router names",
+        ),
+        ('[cameras.a]\nsource = "ros2"\nbelt_distance_m = 0.4', "cameras.a has no topic: a ros2 camera cannot start"),
+        ('[cameras.a]\npath = "belt.csv"', f"cameras.a.path: {tmp_path}/belt.csv is no recording Tuberline knows"),
+        (
+            '[aggregator]\nout = "file/run"',
+            f"aggregator.out: {tmp_path}/file is a file on this computer: no folder can",
+        ),
+        ('[segmenter]\nstate_dir = "file"', f"segmenter.state_dir: {tmp_path}/file is a file on this computer"),
+        ('[regressor]\nstate_dir = "file/a"', f"regressor.state_dir: {tmp_path}/file is a file on this computer"),
+    ):
+        file.write_text(text)
+        check(file)
+        said = capsys.readouterr()
+        assert said.err.startswith(f"warning: {told}"), text
+        assert "is accepted, with 1 warning:" in said.out, said.err
+    file.write_text('[link]\nrouter = "tcp/edge:7447"\nlisten = ["tcp/0.0.0.0:7447#iface=eth0"]')
+    check(file)
+    assert capsys.readouterr().err == ""
+
+
 def test_a_line_whose_tickets_or_contract_cannot_be_read_is_refused_before_it_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,6 +12,9 @@ from cyclopts import App
 
 from conveyor.config import LineConfig, dump_toml, load_config
 from conveyor.config_camera import at_one_place, hang_together
+from conveyor.errors import InputError
+from conveyor.formats.detect import camera_names
+from conveyor.session import link_fault
 from tuberline.cli.named_files import check_access, unreadable_files
 
 config = App(name="config", help="Check, show or explain a line's configuration.")
@@ -22,9 +25,10 @@ def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
     Warned of is what may lie on another computer of the line: recordings, weights, tickets, contracts and channels
-    of alarms that cannot be read here. So are cameras without a recording or not in theirs, live cameras that hang
-    at one place, an encoder that no camera hears, and a ledger's folder that is none. The last line says how many
-    warnings there are; they do not change the exit code.
+    of alarms that cannot be read here. So are cameras without a recording or topic, or not in their recording, live
+    cameras that hang at one place, an encoder that no camera hears, folders for the ledger and for state that cannot
+    be made, a link that contradicts itself, and a folder of certificates that is not here. The last line
+    says how many warnings there are; they do not change the exit code.
 
     Parameters
     ----------
@@ -55,13 +59,53 @@ def _warnings(line: LineConfig) -> Iterator[str]:
             yield f"cameras.{name}.path: {camera.path} is not on this computer"
         if camera.path is None and camera.source == "recording":
             yield f"cameras.{name} has no path: a camera that replays a recording cannot start"
-    if os.path.exists(out := line.aggregator.out) and not os.path.isdir(out):
-        yield f"aggregator.out: {out} is no folder on this computer: the ledger needs one of its own"
+        if camera.source == "ros2" and camera.topic is None:
+            yield f"cameras.{name} has no topic: a ros2 camera cannot start"
+    yield from _places(line)
+    yield from _link(line)
     if together := at_one_place(line.cameras):
         yield hang_together(together)
     if line.encoder is not None and not line.hears_encoder:
         yield "encoder: no camera of this line is live, and recordings bring their own travel"
     yield from unreadable_files(line)
+    yield from _recordings(line)
+
+
+def _places(line: LineConfig) -> Iterator[str]:
+    """Folders of results and of state that cannot be made."""
+    if os.path.exists(out := line.aggregator.out) and not os.path.isdir(out):
+        yield f"aggregator.out: {out} is no folder on this computer: the ledger needs one of its own"
+    folders = {"aggregator.out": out.parent, "segmenter.state_dir": line.segmenter.state_dir}
+    folders["regressor.state_dir"] = line.regressor.state_dir
+    for key, folder in folders.items():
+        file = next((place for place in (folder, *folder.parents) if os.path.isfile(place)), None) if folder else None
+        if file and not (key == "segmenter.state_dir" and file in (out, *out.parents)):
+            yield f"{key}: {file} is a file on this computer: no folder can be made there"
+
+
+def _recordings(line: LineConfig) -> Iterator[str]:
+    """Files that cameras name and that hold no recording; a folder may be filled later."""
+    for name, camera in sorted(line.cameras.items()):
+        if camera.path is not None and os.path.isfile(camera.path):
+            try:
+                camera_names(camera.path)
+            except InputError as error:
+                yield f"cameras.{name}.path: {error}"
+
+
+def _link(line: LineConfig) -> Iterator[str]:
+    """What of the link would keep processes from their router."""
+    if fault := link_fault(line.link):
+        yield fault
+    elif line.link.certs and not os.path.isdir(line.link.certs):
+        yield f"link.certs: there is no folder {line.link.certs} on this computer"
+    port = line.link.router.rpartition(":")[2]
+    listened = [endpoint.partition("#")[0].rpartition(":")[2] for endpoint in line.link.listen]
+    if port.isdecimal() and listened and port not in listened:
+        yield (
+            f"link.listen: the router listens on port {', '.join(listened)}, and link.router names port {port}: no "
+            "process reaches it unless something forwards that port"
+        )
 
 
 @config.command
