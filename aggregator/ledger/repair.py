@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shutil
 import sqlite3
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
@@ -83,7 +83,10 @@ def repair(path: Path) -> Repaired:
         book = LoadBook.of(event_from(event[:-1]) for event in rows[LOAD_EVENT.name])
         stretches = {run: _stretches(own, run, book, report) for run, own in of_runs.items()}
         seq = _number_batches(of_runs)
-        _write(fresh, of_runs, had, stretches, lossy=report.lossy)
+        sums = {run: _sums(own, had[run].sums if run in had else None) for run, own in of_runs.items()}
+        for run in report.lossy & sums.keys():
+            sums[run].lacks = True
+        _write(fresh, of_runs, sums, stretches)
         made.clear()  # from here on the copy may be all that there is
         break_seal(receipt_path(path))
         _swap(path, fresh)
@@ -157,10 +160,8 @@ def _number_batches(of_runs: Mapping[str, Rows]) -> int:
 def _write(
     path: Path,
     of_runs: Mapping[str, Rows],
-    had: Mapping[str, Expected],
+    sums: Mapping[str, RunSums],
     stretches: Mapping[str, dict[int, SpanSums]],
-    *,
-    lossy: Container[str],
 ) -> None:
     db = sqlite3.connect(path, isolation_level=None)
     try:
@@ -171,9 +172,7 @@ def _write(
         for run, own in of_runs.items():
             for table in WRITTEN_ONCE:
                 db.executemany(table.insert, own[table.name])
-            sums = _sums(own, had[run].sums if run in had else None)
-            sums.lacks |= run in lossy
-            first_step(db, run, sums)
+            first_step(db, run, sums[run])
             for n, span in stretches[run].items():
                 span_step(db, run, n, span)
         db.execute("COMMIT")
