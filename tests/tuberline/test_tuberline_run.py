@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from conveyor.config import load_config
-from conveyor.errors import ConfigError
+from conveyor.errors import PERMANENT, ConfigError, InputError, TuberlineError
 from conveyor.taken_port import free_port
 from tests.belts import simulate, tuberline
 from tests.chaos.test_chaos_resume import child, tubers
@@ -121,6 +121,22 @@ def test_a_line_whose_only_camera_gave_up_ends_with_its_code_and_a_sentence(tmp_
     last = done.stderr[done.stderr.rindex("tuberline: ") :]
     assert last.startswith("tuberline: the line is not kept up: camera-front gave up\n")
     assert "nowhere does not exist" in done.stderr
+
+
+def test_a_name_or_a_folder_that_cannot_be_is_refused_before_any_process_starts(tmp_path: Path) -> None:
+    """Every process said so for itself, in ten lines; without its ledger's folder a line played on uncounted."""
+    file = line_file(tmp_path, tmp_path / "belt")
+    taken = tmp_path / "taken"
+    taken.touch()
+    with pytest.raises(TuberlineError, match=r"^run name 'mon/day' cannot be used: 1 to 64 letters") as told:
+        run(file, run="mon/day")
+    assert told.value.exit_code == PERMANENT
+    with pytest.raises(InputError, match=rf"^folder {taken} \(--logs\) cannot be made: File exists") as told:
+        run(file, logs=taken)
+    assert told.value.exit_code == PERMANENT
+    file.write_text(file.read_text().replace(f"{tmp_path}/run", f"{taken}/run"))
+    with pytest.raises(InputError, match=rf"^folder {taken}/run \(aggregator\.out\) cannot be made: Not a directory"):
+        run(file)
 
 
 def test_a_line_whose_only_segmenter_gave_up_ends_with_its_code(tmp_path: Path) -> None:

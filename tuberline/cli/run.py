@@ -6,15 +6,18 @@ import json
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 from conveyor.config import LineConfig, load_config
-from conveyor.errors import ConfigError, TuberlineError
+from conveyor.errors import ConfigError, InputError, TuberlineError
+from conveyor.files import cause, may_pass
 from conveyor.observer import observer_when_there
 from conveyor.signals import stop_when_told
 from conveyor.taken_port import check_port_free
+from conveyor.topics import check_name
 from tuberline.cli.named_files import check_access, unreadable_files
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
@@ -43,6 +46,8 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     ------
     ConfigError
         A file that it names cannot be used, its recording lacks a camera, or its router would refuse it.
+    InputError
+        The folder of the ledger or of the logs cannot be made.
     LedgerError
         The run of that id is finished, or was begun with other cameras.
     TakenError
@@ -56,10 +61,12 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     if faults := unreadable_files(line):
         raise ConfigError(f"config {config}: {'; '.join(faults)}; the line would go without these, or count nothing")
     if run is not None:
+        check_name(run, what="run")
         from aggregator.ledger.goes_on import check_run_goes_on
 
         ledger, again = line.aggregator.out / "ledger.db", not line.aggregator.exit_when_final
         check_run_goes_on(ledger, run, cameras=list(line.cameras), may_be_finished=again)
+    _make_folders({"aggregator.out": line.aggregator.out, "--logs": logs})
     run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     shown = sys.stderr.isatty()
     stop = threading.Event()
@@ -76,6 +83,21 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
         stopped_s, complete = time.time(), supervisor.finished("aggregator")
     if not complete:
         summarise_late(line, run_id, stopped_s)
+
+
+def _make_folders(folders: Mapping[str, Path | None]) -> None:
+    """Make them before anything starts; what a disk refuses that may take it later is left to who needs it.
+
+    Raises:
+        InputError: one cannot be made, ever; named by its key or option.
+    """
+    for name, folder in folders.items():
+        try:
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            if not may_pass(error):
+                raise InputError(f"folder {folder} ({name}) cannot be made: {cause(error)}") from error
 
 
 def summarise_late(line: LineConfig, run: str, stopped_s: float) -> None:
