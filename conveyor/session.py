@@ -10,6 +10,7 @@ import errno
 import json
 import logging
 import queue
+import re
 import socket
 import threading
 import time
@@ -28,6 +29,7 @@ TlsFiles = tuple[Path, Path, Path]
 """Authority, certificate, key."""
 WAIT_FOR_EVER_MS = -1
 SAY_FIRST_S, SAY_EVERY_S = 5.0, 60.0
+LISTENS_WITHIN_S = 1.0
 STARTING_FOR_S = 60.0
 """How much longer each look for the router lets a start take: a manager that hears nothing for so long may end it."""
 ENCRYPTED = ("tls/", "quic/")
@@ -79,13 +81,33 @@ def join_router(link: LinkConfig, *, name: str, stop: threading.Event, log: logg
             waited_s = time.monotonic() - began_s
             still_starting(STARTING_FOR_S)
             if waited_s >= say_s:
-                log.warning("no router answers at %s for %.0f s: waiting for it", link.router, waited_s)
+                why = _LISTENS if _listened_to(link.router) else ""
+                log.warning("no router answers at %s for %.0f s: waiting for it%s", link.router, waited_s, why)
                 say_s += SAY_EVERY_S
             continue
         if isinstance(answer, zenoh.Session):
             return answer
         raise LinkError(f"cannot join the router at {link.router}: {short_reason(answer)}") from answer
     return None
+
+
+_LISTENS = (
+    "; something listens there: a router that hangs, has certificates of another authority, or speaks tls/ where "
+    "link.router says tcp/, or the other way round; `tuberline doctor` tells more"
+)
+
+
+def _listened_to(endpoint: str) -> bool:
+    """Whether a port takes connections there, of a router or of another program."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = re.split("[?#]", address)[0].rpartition(":")
+    if protocol not in ("tcp", "tls"):
+        return False
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=LISTENS_WITHIN_S).close()
+    except (OSError, UnicodeError):  # a name that is too long is no OSError
+        return False
+    return True
 
 
 def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = None) -> zenoh.Session:

@@ -242,3 +242,16 @@ def test_a_free_port_is_none_that_the_system_gives_to_connections() -> None:
     ports = [taken_port.free_port() for _ in range(20)]
     assert max(ports) < 32_768
     assert len(set(ports)) > 15
+
+
+def test_a_port_that_listens_and_is_no_router_of_this_link_is_told(free_port: int) -> None:
+    """Certificates of another authority, or tcp/ for tls/: a regressor said that no router answers, which was there."""
+    link = LinkConfig(router=f"tcp/127.0.0.1:{free_port}")
+    with socket.create_server(("127.0.0.1", free_port)):
+        node = start_node(link, "works")
+        assert node.stderr is not None
+        said = node.stderr.readline().decode()
+        node.terminate()
+        assert node.wait(20) == 0
+    told = f"no router answers at {link.router} for 5 s: waiting for it; something listens there: a router that hangs"
+    assert told in said
