@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from conveyor.config_base import Endpoint, Metres, Section
 from conveyor.config_realsense import RealSenseConfig
@@ -75,6 +75,15 @@ class CameraConfig(Section):
     )
     depth_scale_m: Annotated[float, Field(gt=0, le=0.01)] | None = Field(None, description="overrides the recording")
     ignore_masks: bool = Field(False, description="find tubers though the recording has masks of its own")
+
+    @field_validator("belt_from_camera", mode="before")
+    @classmethod
+    def _four_by_four(cls, given: object) -> object:
+        """One fault of its shape; pydantic tells one of each number that is missing."""
+        rows = list(given) if isinstance(given, list | tuple) else None
+        if rows is not None and [len(row) if isinstance(row, list | tuple) else 0 for row in rows] != [4] * 4:
+            raise ValueError("must be four rows of four numbers, as `tuberline calibrate cameras` prints them")
+        return given
 
     @property
     def held_back(self) -> bool:

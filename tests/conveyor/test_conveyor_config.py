@@ -145,6 +145,16 @@ def test_an_encoder_tells_the_cameras_of_today(tmp_path: Path, capsys: pytest.Ca
     assert told.out.startswith(f"{file} is accepted, with 2 warnings: line ")
 
 
+@pytest.mark.parametrize("pose", [[], [[1, 0, 0, 0]], [[1, 0, 0]] * 4, [1, 2, 3, 4], [[1, 0, 0, 0]] * 5])
+def test_a_pose_of_another_shape_is_one_fault(pose: list[object]) -> None:
+    """It was one for each row that was missing: `belt_from_camera.1: is missing (got [[1, 0, 0, 0]])`."""
+    with pytest.raises(ConfigError) as caught:
+        parse_config({"cameras": {"front": {"belt_from_camera": pose}}}, where="test")
+    told = str(caught.value).splitlines()
+    assert len(told) == 2, told
+    assert told[1].startswith("  cameras.front.belt_from_camera: must be four rows of four numbers, as `tuberline cal")
+
+
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(write(tmp_path, "[segmenter]\nring = 0\ncredit = 1\n[viewers]\n"))
