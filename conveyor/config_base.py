@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
+from conveyor.endpoints import host_and_port
 from conveyor.errors import TuberlineError
 from conveyor.stated import BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM, level_fault
 from conveyor.topics import check_name
@@ -84,7 +84,7 @@ WITH_PATH = ("unixsock-stream",)
 def checked_endpoint(text: str) -> str:
     """`text` where it names a protocol and an address, as 'tcp/10.0.0.1:7447'; raises ValueError else."""
     protocol, slash, address = text.partition("/")
-    host, _, port = re.split("[?#]", address)[0].rpartition(":")
+    host, port = host_and_port(text)
     if protocol in WITH_PORT and host and port.isdecimal() and 0 < int(port) <= 65535:
         return text
     if protocol in WITH_PATH and address:

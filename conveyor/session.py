@@ -10,7 +10,6 @@ import errno
 import json
 import logging
 import queue
-import re
 import socket
 import threading
 import time
@@ -20,6 +19,7 @@ from typing import Any
 import zenoh
 
 from conveyor.config import LinkConfig
+from conveyor.endpoints import host_and_port, takes_connections
 from conveyor.errors import ConfigError, LinkError
 from conveyor.identity import own_files
 from conveyor.notify import still_starting
@@ -99,15 +99,8 @@ _LISTENS = (
 
 def _listened_to(endpoint: str) -> bool:
     """Whether a port takes connections there, of a router or of another program."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = re.split("[?#]", address)[0].rpartition(":")
-    if protocol not in ("tcp", "tls"):
-        return False
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=LISTENS_WITHIN_S).close()
-    except (OSError, UnicodeError):  # a name that is too long is no OSError
-        return False
-    return True
+    host, port = host_and_port(endpoint)
+    return endpoint.startswith(("tcp/", "tls/")) and takes_connections(host, int(port), within_s=LISTENS_WITHIN_S)
 
 
 def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = None) -> zenoh.Session:

@@ -17,6 +17,7 @@ import zenoh
 
 from conveyor import topics
 from conveyor.config import LinkConfig
+from conveyor.endpoints import host_and_port, takes_connections
 from conveyor.errors import TakenError, TuberlineError
 from conveyor.session import open_client
 
@@ -62,16 +63,12 @@ def who_routes(link: LinkConfig, endpoint: str) -> str:
 def _listened_to(link: LinkConfig) -> str | None:
     """The first of the router's own endpoints at which somebody accepts connections, as a client reaches it."""
     for endpoint in link.listen or (link.router,):
-        protocol, _, rest = endpoint.partition("/")
-        host, _, port = rest.partition("#")[0].partition("?")[0].rpartition(":")
+        protocol, (host, port) = endpoint.partition("/")[0], host_and_port(endpoint)
         if protocol not in ("tcp", "tls", "ws") or not port.isdecimal():
             continue
         host = {"0.0.0.0": "127.0.0.1", "[::]": "::1", "*": "127.0.0.1"}.get(host, host).strip("[]")
-        try:
-            socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
-        except OSError:
-            continue
-        return f"{protocol}/{f'[{host}]' if ':' in host else host}:{port}"
+        if takes_connections(host, int(port), within_s=CONNECT_S):
+            return f"{protocol}/{f'[{host}]' if ':' in host else host}:{port}"
     return None
 
 

@@ -12,6 +12,7 @@ from cyclopts import App
 
 from conveyor.config import LineConfig, dump_toml, load_config
 from conveyor.config_camera import at_one_place, hang_together
+from conveyor.endpoints import host_and_port
 from conveyor.errors import InputError
 from conveyor.formats.detect import camera_names
 from conveyor.session import link_fault
@@ -99,8 +100,8 @@ def _link(line: LineConfig) -> Iterator[str]:
         yield fault
     elif line.link.certs and not os.path.isdir(line.link.certs):
         yield f"link.certs: there is no folder {line.link.certs} on this computer"
-    port = line.link.router.rpartition(":")[2]
-    listened = [endpoint.partition("#")[0].rpartition(":")[2] for endpoint in line.link.listen]
+    port = host_and_port(line.link.router)[1]
+    listened = [host_and_port(endpoint)[1] or endpoint for endpoint in line.link.listen]
     if port.isdecimal() and listened and port not in listened:
         yield (
             f"link.listen: the router listens on port {', '.join(listened)}, and link.router names port {port}: no "

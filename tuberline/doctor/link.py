@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from conveyor.config import LineConfig, LinkConfig
+from conveyor.endpoints import host_and_port
 from conveyor.errors import TuberlineError
 from tuberline.doctor.finding import Finding, Level, fault, ok, warning
 
@@ -17,7 +18,7 @@ EVERYWHERE = ("0.0.0.0", "::")
 
 def router_address(link: LinkConfig) -> tuple[str, int]:
     """(host, port) of the router's endpoint, e.g. of 'tls/edge:7447'."""
-    host, _, port = link.router.split("/", 1)[1].split("#")[0].split("?")[0].rpartition(":")
+    host, port = host_and_port(link.router)
     return host.strip("[]"), int(port)
 
 
