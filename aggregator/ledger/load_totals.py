@@ -156,6 +156,7 @@ class ReadLoads:
         self.runs = {run.run: run for run in read_runs(view)}
         self._sums: dict[str, RunSums] = {}
         self._span_sums: dict[str, dict[int, SpanSums]] = {}
+        self._less: dict[str, str] = {}
         self._priors: dict[str, Prior] = {}
 
     @cached_property
@@ -208,17 +209,14 @@ class ReadLoads:
     def remarks(self, runs: Iterable[str]) -> tuple[str, ...]:
         """In sentences, which of `runs` were cut off or repaired with losses, in the order in which they began."""
         wanted = set(runs)
-        return tuple(words for name, words in self._less.items() if words and name in wanted)
+        return tuple(words for name in self.runs if name in wanted and (words := self._less_than_all(name)))
 
-    @cached_property
-    def _less(self) -> dict[str, str]:
-        """By run."""
-        found = {}
-        for name, run in self.runs.items():
+    def _less_than_all(self, name: str) -> str:
+        if name not in self._less:
             sums = self.sums(name)
-            end = end_of(run, self._written, sums=sums, summary=summary_told(self._view, name, sums))
-            found[name] = less_than_all(name, end, lacks=sums.lacks)
-        return found
+            end = end_of(self.runs[name], self._written, sums=sums, summary=summary_told(self._view, name, sums))
+            self._less[name] = less_than_all(name, end, lacks=sums.lacks)
+        return self._less[name]
 
     def load_of(self, tuber: Tuber) -> int:
         """Number of the load that a tuber belongs to, or `NO_LOAD`."""
