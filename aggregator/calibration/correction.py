@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from aggregator.calibration.evidence import Evidence, gather
 from aggregator.calibration.tickets import Ticket
 from conveyor import load_spread
-from conveyor.cultivar import cultivar_key
 from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM, factor_sd
 from conveyor.resting import RestingLevel
-from conveyor.typed_names import as_first_given
+from conveyor.typed_names import as_first_given, name_key
 
 Floats = NDArray[np.float64]
 
@@ -120,8 +119,8 @@ class Correction:
 
     def at(self, cultivar: str) -> int | None:
         """Where in `mean` a cultivar's own factor is; None where it is none of them."""
-        keys = [cultivar_key(name) for name in self.cultivars]
-        return 2 + keys.index(key) if (key := cultivar_key(cultivar)) in keys else None
+        keys = [name_key(name) for name in self.cultivars]
+        return 2 + keys.index(key) if (key := name_key(cultivar)) in keys else None
 
     @property
     def tickets(self) -> int:

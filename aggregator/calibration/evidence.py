@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aggregator.calibration.sensitivity import share_of_weight
 from aggregator.calibration.tickets import Ticket
-from conveyor.cultivar import cultivar_key
+from conveyor.typed_names import name_key
 
 Floats = NDArray[np.float64]
 
@@ -99,8 +99,8 @@ def sum_tickets(tickets: Sequence[Ticket], at: Floats, cultivars: Sequence[str])
 
 
 def _members(tickets: Sequence[Ticket], cultivars: Sequence[str]) -> Floats:
-    keys = [cultivar_key(name) for name in cultivars]
-    rows = [[cultivar_key(ticket.cultivar) == key for key in keys] for ticket in tickets]
+    keys = [name_key(name) for name in cultivars]
+    rows = [[name_key(ticket.cultivar) == key for key in keys] for ticket in tickets]
     return np.array(rows, float).reshape(len(tickets), len(cultivars))
 
 

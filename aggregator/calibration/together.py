@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 from aggregator.calibration.apply import CAMERA, LAYERS, RESTING, TUBERS, UNSEEN
 from aggregator.core.totals import LoadTotals
-from conveyor.cultivar import cultivar_key
 from conveyor.statistics import NORMAL_90
+from conveyor.typed_names import name_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ def _errors(loads: Sequence[OneLoad], *, whole: bool, hidden: bool) -> _Errors:
         for name, sd_g in ((RESTING, found.parts_g[RESTING]), (CAMERA, found.parts_g[CAMERA]), (LAYERS, layers_g)):
             shared[name] += times * sd_g
         own = math.sqrt(max(0.0, found.parts_g[TUBERS] ** 2 - found.own_g**2 - found.between_g**2))
-        variety = cultivar_key(load.variety)
+        variety = name_key(load.variety)
         varieties[variety] = varieties.get(variety, 0.0) + times * own
         between_g2 += (times * found.between_g) ** 2
         scale = times * load.totals.scale / NORMAL_90

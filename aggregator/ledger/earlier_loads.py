@@ -7,7 +7,7 @@ from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import SAME_OFFSET_MM, Load
 from aggregator.ledger.load_totals import Sums
-from conveyor.cultivar import cultivar_key
+from conveyor.typed_names import name_key
 
 
 def heights_before(ledger: Sums, load: Load, *, cultivar: str = "") -> list[HeightSums]:
@@ -23,7 +23,7 @@ def heights_before(ledger: Sums, load: Load, *, cultivar: str = "") -> list[Heig
             break
         if other.number >= load.number or other.undone or not other.spans:
             continue
-        if cultivar_key(other.variety or cultivar) != cultivar_key(load.variety or cultivar):
+        if name_key(other.variety or cultivar) != name_key(load.variety or cultivar):
             continue
         if abs(other.stated_offset_mm - load.stated_offset_mm) > SAME_OFFSET_MM:
             continue

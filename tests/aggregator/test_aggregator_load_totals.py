@@ -193,29 +193,28 @@ def test_the_summary_of_a_run_is_the_sum_of_its_loads(tmp_path: Path) -> None:
     assert run["tickets"] == 1
 
 
-def test_loads_of_one_variety_are_together_however_it_was_typed(tmp_path: Path) -> None:
-    path = tmp_path / "ledger.db"
-    day_of_loads(path)
-    both = {t.label: t for t in totals_by([path], "variety")[0]}
-    order_at_rest(path, LoadOrder("d", "note", by="test", load="B", fields={"variety": "aGRIA "}))
-    one = {t.label: t for t in totals_by([path], "variety")[0]}
-    assert set(both) - set(one) == {"Fontane"}
-    assert one["Agria"].loads == both["Agria"].loads + both["Fontane"].loads
-    assert one["Agria"].sums.tubers == both["Agria"].sums.tubers + both["Fontane"].sums.tubers
-    assert set(one) == {"Agria", NOT_TOLD, ALL}
-
-
-def test_loads_of_one_field_are_together_however_it_was_typed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("by", "typed", "kept", "gone"), [("variety", "aGRIA ", "Agria", "Fontane"), ("field", " KAMP", "Kamp", "Berg")]
+)
+def test_loads_of_one_name_are_together_however_it_was_typed(
+    tmp_path: Path, by: str, typed: str, kept: str, gone: str
+) -> None:
     """'Kamp' and ' kamp' were two fields, in totals, reports and TASKDATA."""
     path = tmp_path / "ledger.db"
     day_of_loads(path)
-    both = {t.label: t for t in totals_by([path], "field")[0]}
+    both = {t.label: t for t in totals_by([path], by)[0]}
+    order_at_rest(path, LoadOrder("d", "note", by="test", load="B", fields={by: typed}))
+    one = {t.label: t for t in totals_by([path], by)[0]}
+    assert set(both) - set(one) == {gone}
+    assert (one[kept].loads, one[ALL].loads) == (both[kept].loads + both[gone].loads, 2) == (2, 2)
+    assert one[kept].sums.tubers == both[kept].sums.tubers + both[gone].sums.tubers
+    assert set(one) == {kept, NOT_TOLD, ALL}
+
+
+def test_a_field_is_one_in_taskdata_however_it_was_typed(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
     order_at_rest(path, LoadOrder("d", "note", by="test", load="B", fields={"field": " KAMP"}))
-    one = {t.label: t for t in totals_by([path], "field")[0]}
-    assert set(both) - set(one) == {"Berg"}
-    assert (one["Kamp"].loads, one[ALL].loads) == (2, 2)
-    assert one["Kamp"].sums.tubers == both["Kamp"].sums.tubers + both["Berg"].sums.tubers
-    assert set(one) == {"Kamp", NOT_TOLD, ALL}
     (about_run,) = about([path])["runs"]
     names = [(pair["field"].strip().casefold(), pair["variety"]) for pair in about_run["grown"]]
     assert names == [("kamp", "Agria"), ("kamp", "Fontane")]

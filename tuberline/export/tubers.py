@@ -13,7 +13,6 @@ from aggregator.ledger.reader import all_runs, ledger_file, read_sums, reading, 
 from aggregator.ledger.stated import belt_of_run, stated_beside
 from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, total_of, totals_by
 from conveyor import __version__
-from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
 from conveyor.typed_names import name_key
@@ -135,7 +134,7 @@ def _grown(loads: Sequence[Labelled]) -> list[dict[str, str]]:
     for load in loads:
         if load.one.totals.sums.count:
             field, variety = load.load.field if load.load else "", load.one.variety
-            pairs.setdefault((name_key(field), cultivar_key(variety)), (field, variety))
+            pairs.setdefault((name_key(field), name_key(variety)), (field, variety))
     return [{"field": field, "variety": variety} for field, variety in pairs.values() if field or variety]
 
 

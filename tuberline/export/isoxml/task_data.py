@@ -19,7 +19,6 @@ from xml.etree import ElementTree
 import numpy as np
 
 from conveyor import __version__
-from conveyor.cultivar import cultivar_key
 from conveyor.typed_names import as_first_given, name_key
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records
 from tuberline.maps.field import FieldPlaces, MachineShare
@@ -118,7 +117,7 @@ def _partfields(root: ElementTree.Element, grown: Sequence[Mapping[str, str]]) -
     lifted: dict[str, set[str]] = {key: set() for key in fields}
     for pair in grown:
         if pair["field"]:
-            lifted[name_key(pair["field"])].add(cultivar_key(pair["variety"]))
+            lifted[name_key(pair["field"])].add(name_key(pair["variety"]))
     if not grown:
         return {}
     crop = ElementTree.SubElement(root, "CTP", A="CTP-1", B=CROP)
@@ -127,11 +126,8 @@ def _partfields(root: ElementTree.Element, grown: Sequence[Mapping[str, str]]) -
         ElementTree.SubElement(crop, "CVT", A=variety_ids[key], B=variety[:MOST_TEXT])
     ids = {key: f"PFD-{n}" for n, key in enumerate(fields, start=1)}
     for key, name in fields.items():
-        of_field, keys = (
-            ElementTree.SubElement(root, "PFD", A=ids[key], C=name[:MOST_TEXT], D="0", G="CTP-1"),
-            lifted[key],
-        )
-        if len(keys) == 1 and (variety_id := variety_ids.get(*keys)):
+        of_field = ElementTree.SubElement(root, "PFD", A=ids[key], C=name[:MOST_TEXT], D="0", G="CTP-1")
+        if len(lifted[key]) == 1 and (variety_id := variety_ids.get(*lifted[key])):
             of_field.set("H", variety_id)
     return ids
 
