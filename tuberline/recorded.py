@@ -29,9 +29,9 @@ def lost_frames(cameras: Mapping[str, Any], *, logs: Path) -> list[str]:
             )
         dropped = {key.removeprefix(DROPPED): n for key, n in frames.items() if key.startswith(DROPPED) and n}
         if dropped:
-            reasons = "; ".join(f"{n} {reason} ({_MEANINGS.get(reason, '')})" for reason, n in sorted(dropped.items()))
             told.append(
-                f"camera '{name}': {sum(dropped.values())} of {frames['published']} frames were left out: {reasons}; "
+                f"camera '{name}': {sum(dropped.values())} of {frames['published']} frames were left out: "
+                f"{_reasons_told(dropped)}; "
                 f"more stands in {logs / f'segmenter-{name}.log'}"
             )
     return told
@@ -54,11 +54,15 @@ def not_counted_told(camera: str, discarded: Mapping[str, int], *, frames: int, 
     """In words, why no track of a camera counts; nothing where it had none. `discarded`: how many, by reason."""
     if not discarded:
         return []
-    reasons = "; ".join(f"{n} {reason} ({_MEANINGS.get(reason, '')})" for reason, n in sorted(discarded.items()))
     return [
         f"camera '{camera}': none of {sum(discarded.values())} tracks counts, in {frames} frames over "
-        f"{travelled_m:.2f} m of belt: {reasons}"
+        f"{travelled_m:.2f} m of belt: {_reasons_told(discarded)}"
     ]
+
+
+def _reasons_told(counts: Mapping[str, int]) -> str:
+    """How many by reason, and what each reason means."""
+    return "; ".join(f"{n} {reason} ({_MEANINGS.get(reason, '')})" for reason, n in sorted(counts.items()))
 
 
 def other_zeros(out: Path, *, run: str, totals: Mapping[str, Any]) -> list[str]:

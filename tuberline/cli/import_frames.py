@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import BeltDistance, within
+from tuberline.cli.recordings import leave_on_losses
 
 if TYPE_CHECKING:
     from conveyor.formats.conversion import Converted
@@ -61,7 +62,6 @@ def import_frames(
     """
     from conveyor.files import whole_output
     from conveyor.formats.beside import check_new
-    from conveyor.formats.cameras import told_unreadable
     from conveyor.formats.conversion import write_recording
     from conveyor.formats.plain.reader import PlainFrames
     from conveyor.formats.prepared import PreparedSource
@@ -95,9 +95,7 @@ def import_frames(
             on_frame=on_frame,
         )
     _tell(found, done, target, json=json)
-    if done.refused:
-        sys.stderr.write(f"tuberline: {told_unreadable(done.refused, done.texts[0])}\n")
-        raise SystemExit(1)
+    leave_on_losses(done)
 
 
 def _tell(found: PlainFrames, done: Converted, target: Path, *, json: bool) -> None:

@@ -6,10 +6,13 @@ import json as json_module
 import sys
 from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import BeltDistance, within
+
+if TYPE_CHECKING:
+    from conveyor.formats.conversion import Converted
 
 TargetFormat = Literal["auto", "folder", "mcap", "ros2", "foxglove"]
 
@@ -23,6 +26,15 @@ def tell_doubts(recording: Path, *, masks: bool = True, part: int | None = None)
 
     for text in told_at_once(recording, masks=masks, part=part):
         sys.stderr.write(f"warning: {text}\n")
+
+
+def leave_on_losses(done: Converted) -> None:
+    """End with 1, and say why, where frames were left out of what was written."""
+    from conveyor.formats.cameras import told_unreadable
+
+    if done.refused:
+        sys.stderr.write(f"tuberline: {told_unreadable(done.refused, done.texts[0])}\n")
+        raise SystemExit(1)
 
 
 def recover(path: Path, /, *, out: Path | None = None, json: bool = False) -> None:
@@ -121,7 +133,6 @@ def convert(
     """
     from conveyor.files import whole_output
     from conveyor.formats.beside import check_new
-    from conveyor.formats.cameras import told_unreadable
     from conveyor.formats.conversion import convert_recording
     from tuberline.cli.progress import frames_bar
 
@@ -145,6 +156,4 @@ def convert(
         sys.stdout.write(json_module.dumps(report) + "\n")
     else:
         sys.stdout.write(f"{done.frames} frames in {target}\n")
-    if done.refused:
-        sys.stderr.write(f"tuberline: {told_unreadable(done.refused, done.texts[0])}\n")
-        raise SystemExit(1)
+    leave_on_losses(done)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_module
-import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,6 +10,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.simulate_views import remove
 
 TargetFormat = Literal["auto", "folder", "mcap", "ros2"]
 
@@ -127,7 +127,7 @@ def simulate(
             form=format,
             on_frame=on_frame,
         )
-        _remove(replaced)
+        remove(replaced)  # no mix of two recordings
     counted, weight_kg = len(truth["tubers"]), sum(tuber["weight_g"] for tuber in truth["tubers"]) / 1000
     if json:
         sys.stdout.write(json_module.dumps({"out": str(out), "tubers": counted, "weight_kg": weight_kg}) + "\n")
@@ -151,9 +151,3 @@ def _replaced(out: Path, *, force: bool) -> list[Path]:
     if out.suffix == ".mcap" and not out.is_dir() and (positions := positions_beside(out)).is_file():
         former.append(positions)
     return former
-
-
-def _remove(former: list[Path]) -> None:
-    """No mix of two recordings: the former one goes when the new one is about to come."""
-    for path in former:
-        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)

@@ -110,9 +110,9 @@ def check_distances(distances: tuple[float, ...], *, needed: bool) -> None:
 
 
 def remove(former: list[Path]) -> None:
-    """Remove what `former_views` found, once the new views are there."""
+    """Remove what was there before, once what takes its place is made; what it links to stays."""
     for old in former:
-        shutil.rmtree(old) if old.is_dir() else old.unlink()
+        shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink(missing_ok=True)
 
 
 def former_views(out: Path, *, force: bool) -> list[Path]:
