@@ -53,6 +53,22 @@ class Unseen(StrEnum):
     NEVER = "camera_never_looked"
 
 
+_IN_WORDS: Mapping[str, str] = {
+    Unseen.BEFORE: "before the first frame used",
+    Unseen.BETWEEN: "between two frames used",
+    Unseen.AFTER: "after the last frame used",
+    Unseen.NEVER: "under a camera that never looked",
+}
+
+
+def unseen_in_words(unseen_m: Mapping[str, float], *, decimals: int, least_m: float = 0.0) -> str:
+    """Belt that was not seen, in metres by reason, as commands and reports tell it; what is less than `least_m` is left
+    out. A reason that a later version wrote is told as it stands.
+    """
+    told = ((_IN_WORDS.get(reason, reason), metres) for reason, metres in unseen_m.items() if metres >= least_m)
+    return ", ".join(f"{metres:.{decimals}f} m {words}" for words, metres in told)
+
+
 class NothingSeen(StrEnum):
     """Why a load, or one of its cameras, saw nothing at all, where no reason for dropped frames says more."""
 

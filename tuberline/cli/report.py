@@ -9,21 +9,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from aggregator.core.reasons import unseen_in_words
 from conveyor.apart import apart_told
 from conveyor.exchanged import exchanged_told
 from conveyor.layers import layers_in_words
 from conveyor.messages import CameraExchanged, CamerasApart
 from tuberline.cli.class_table import class_table, foreign_line
 from tuberline.cli.live import histogram_lines
-
-REASONS = {
-    "before_first_frame": "before the first frame used",
-    "between_frames": "between frames used",
-    "after_last_frame": "after the last frame used",
-    "camera_never_looked": "under a camera that never looked",
-}
-"""Why belt was not seen (`aggregator.core.reasons.Unseen`), in words."""
-
 
 WORTH_TELLING_PERCENT = 0.5
 """Of foreign matter, where none was refused: less is the classifier's doubt alone."""
@@ -51,12 +43,12 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     coverage = totals["coverage"]
     not_known = f"not known: {summary['reason']}" if summary.get("reason") else "unknown"
     seen = not_known if coverage is None else f"{100 * coverage:.1f} %"
-    unseen = "".join(f", {m:.2f} m {REASONS.get(why, why)}" for why, m in summary.get("unseen_m", {}).items())
+    unseen = unseen_in_words(summary.get("unseen_m", {}), decimals=2)
     table = Table(show_header=False, box=None, padding=(0, 2))
     weight = f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})"
     table.add_row("load as seen", weight if totals["count"] else "nothing was counted, so nothing was weighed")
     table.add_row("tubers", f"[bold]{totals['count']}[/]")
-    table.add_row("belt seen", escape(seen) + (f"  (not seen{unseen[1:]})" if unseen else ""))
+    table.add_row("belt seen", escape(seen) + (f"  (not seen {unseen})" if unseen else ""))
     layers = layers_in_words(totals.get("hidden", 0.0), totals.get("layered_m", 0.0), totals.get("belt_m"))
     if layers:
         table.add_row("layers", f"[yellow]{layers}[/]")

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from aggregator.core.reasons import unseen_in_words
 from aggregator.ledger.ends import less_than_all
 from conveyor.apart import apart_in_words
 from conveyor.exchanged import exchanged_in_words
@@ -22,12 +23,6 @@ WORTH_TELLING = 0.005
 """Of a load's belt: less that was not seen is not told load by load."""
 FEW = 0.02
 """Of tubers, frames or weight: a smaller share is not told."""
-REASONS = {
-    "before_first_frame": "before the first frame used",
-    "between_frames": "between two frames used",
-    "after_last_frame": "after the last frame used",
-    "camera_never_looked": "under a camera that never looked",
-}
 
 
 def what_went_wrong(facts: DayFacts) -> list[str]:
@@ -50,7 +45,7 @@ def _unseen(facts: DayFacts) -> Iterator[str]:
         elif not load.coverage:
             yield f"Load {load.label}: no belt was seen."
         elif load.coverage < 1 - WORTH_TELLING:
-            where = ", ".join(f"{m:.1f} m {REASONS.get(why, why)}" for why, m in load.unseen_m.items() if m >= 0.05)
+            where = unseen_in_words(load.unseen_m, decimals=1, least_m=0.05)
             metres = f" ({where}, mean of the cameras)" if where else ""
             yield (
                 f"Load {load.label}: {100 * (1 - load.coverage):.0f} % of its belt was not seen{metres}. Its weight "
