@@ -33,6 +33,7 @@ def run_training(
     validate_minutes: float,
     on_validated: Callable[[Network, NDArray[np.float64], bool], None],
     on_step: Callable[[Training], None],
+    stop: Callable[[], bool] = lambda: False,
 ) -> Network:
     """Train to the end; the finished model.
 
@@ -41,12 +42,16 @@ def run_training(
         validate_minutes: between two validations; a training for its best epoch validates after each epoch instead.
         on_validated: called with the model, its validation predictions and whether it is the best so far.
         on_step: called after every step.
+        stop: asked between steps; once it says so the state is written.
+
+    Raises:
+        KeyboardInterrupt: `stop` said so.
     """
     if training.progress.step == 0:
         (out / LOG).unlink(missing_ok=True)  # of one that ended before its first state
     next_save = time.monotonic() + 60 * save_minutes
     next_validation = time.monotonic() + 60 * validate_minutes
-    while training.share < 1.0:
+    while training.share < 1.0 and not stop():
         epoch = int(training.epoch)
         training.step()
         on_step(training)
@@ -58,6 +63,8 @@ def run_training(
             save_state(training, out / "state.pt")
             next_save = time.monotonic() + 60 * save_minutes
     save_state(training, out / "state.pt")
+    if stop():
+        raise KeyboardInterrupt
     return _validate(training, out, on_validated, final=True)
 
 

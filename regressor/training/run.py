@@ -88,14 +88,18 @@ def train(
     on_prepared: Callable[[str, int], None],
     on_step: Callable[[Training], None],
     on_validated: Callable[[Training, dict[str, Any]], None],
+    stop: Callable[[], bool] = lambda: False,
 ) -> Sidecar:
     """Train, calibrate, write `weights.safetensors` with its sidecar; the sidecar.
 
     A training that has ended is left as it is: its weights may have been calibrated since.
 
+    Args:
+        stop: asked between steps; once it says so the state is written.
+
     Raises:
         InputError: data that cannot be used, a state to resume that is not there, or a folder that holds weights
-            already. OutputError: another process trains there.
+            already. OutputError: another process trains there. KeyboardInterrupt: `stop` said so.
     """
     keep_memory()
     state = options.out / STATE
@@ -106,7 +110,16 @@ def train(
     with alone_in(options.out):
         check_out(state, options.out / WEIGHTS, resume=options.resume)  # another one may have ended there since
         begun = begun_state(state, settings, start) if options.resume else None
-        _train(options, settings, begun, start, on_prepared=on_prepared, on_step=on_step, on_validated=on_validated)
+        _train(
+            options,
+            settings,
+            begun,
+            start,
+            on_prepared=on_prepared,
+            on_step=on_step,
+            on_validated=on_validated,
+            stop=stop,
+        )
     return read_weights(options.out / WEIGHTS)[1]
 
 
@@ -119,6 +132,7 @@ def _train(
     on_prepared: Callable[[str, int], None],
     on_step: Callable[[Training], None],
     on_validated: Callable[[Training, dict[str, Any]], None],
+    stop: Callable[[], bool],
 ) -> None:
     data, validation = load_sets(options, on_prepared, keep=settings.kept_points)
     data, validation = (views.with_target(settings.target) for views in (data, validation))
@@ -147,6 +161,7 @@ def _train(
         validate_minutes=options.validate_minutes,
         on_validated=write,
         on_step=on_step,
+        stop=stop,
     )
 
 

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
@@ -20,9 +19,27 @@ WITHIN_S = 0.7
 """Compiled code (a network's layers, a compiler's run) sees no interrupt; after this the process ends without it."""
 
 
+class Request:
+    """A first Ctrl-C that is left to the work, which stops where it loses nothing; a second one stops it at any point.
+
+    Attributes:
+        heeds: set while the work looks at `made` now and then.
+        made: set by such a Ctrl-C.
+    """
+
+    def __init__(self) -> None:
+        self.heeds = threading.Event()
+        self.made = threading.Event()
+
+
 @contextmanager
-def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
+def stoppable(
+    how_far: Callable[[], str], request: Request | None = None, *, on_request: Callable[[], None] = lambda: None
+) -> Iterator[threading.Event]:
     """Work that Ctrl-C may stop at any point; once it ended or was stopped Ctrl-C does nothing: output is whole.
+
+    Args:
+        request: for work that can be asked to stop. on_request: called when it is, on another thread.
 
     Yields:
         set when the work was stopped; what `how_far` says was written to stderr then.
@@ -31,8 +48,11 @@ def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
     ended = threading.Event()
     read, write = os.pipe()
     os.set_blocking(write, False)
-    guard = threading.Thread(target=_leave_at_last, args=(read, ended, how_far), name="stop", daemon=True)
-    former = signal.signal(signal.SIGINT, _interrupt)
+    asked = request or Request()
+    guard = threading.Thread(
+        target=_leave_at_last, args=(read, ended, how_far, asked, on_request), name="stop", daemon=True
+    )
+    former = signal.signal(signal.SIGINT, lambda *_: _interrupt(asked))
     former_fd = signal.set_wakeup_fd(write, warn_on_full_buffer=False)  # told by the C handler, whatever is busy
     guard.start()
     try:
@@ -60,7 +80,10 @@ def leave() -> NoReturn:
     os._exit(STOPPED)
 
 
-def _interrupt(_number: int, _frame: object) -> None:
+def _interrupt(request: Request) -> None:
+    if request.heeds.is_set() and not request.made.is_set():
+        request.made.set()  # no one else sets it or waits for it: its lock is free
+        return
     signal.signal(signal.SIGINT, _heard_already)  # a second Ctrl-C must not break into what the first one began
     raise KeyboardInterrupt
 
@@ -69,16 +92,24 @@ def _heard_already(_number: int, _frame: object) -> None:
     """Of one that came before this was set Python would write an error if it were then to be ignored (`SIG_IGN`)."""
 
 
-def _leave_at_last(read: int, ended: threading.Event, how_far: Callable[[], str]) -> None:
-    """Wait for the interrupt; end the process if the work has not ended by itself soon after."""
-    while True:
-        signals = os.read(read, 64)
-        if not signals:  # the work is over
-            os.close(read)
-            return
-        if signal.SIGINT in signals:
+def _leave_at_last(
+    read: int, ended: threading.Event, how_far: Callable[[], str], request: Request, on_request: Callable[[], None]
+) -> None:
+    """Wait for the interrupt that is not left to the work; end the process if that has not ended by itself soon after.
+
+    Python tells of one where there were two while compiled code was busy: they are counted here.
+    """
+    heard = 0
+    while signals := os.read(read, 64):
+        new = signals.count(signal.SIGINT)
+        heard += new
+        if new and heard == 1 and request.heeds.is_set():
+            on_request()
+        elif new:
             break
-    begun = time.monotonic()
-    if not ended.wait(WITHIN_S - (time.monotonic() - begun)):
+    else:  # the work is over
+        os.close(read)
+        return
+    if not ended.wait(WITHIN_S):
         os.write(2, f"tuberline: {how_far()}\n".encode())
         os._exit(STOPPED)

@@ -12,13 +12,14 @@ from cyclopts import Parameter
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed, within
-from tuberline.cli.stoppable import leave, stoppable
+from tuberline.cli.stoppable import Request, leave, stoppable
 from tuberline.cli.twin_told import tell_twin
 
 if TYPE_CHECKING:
     from regressor.network.sidecar import Sidecar
     from regressor.training.recipe import TrainSettings
     from regressor.training.run import RunOptions
+    from regressor.training.train import Training
 
 
 def train(
@@ -51,7 +52,8 @@ def train(
 ) -> None:
     """Train PointRAFT; writes weights.safetensors with its sidecar, log.csv and a state to resume from.
 
-    Ctrl-C ends it with 130 and says how old the state is that --resume goes on from.
+    Ctrl-C writes the state after the step under way, ends it with 130 and says how to go on. A second one ends it at
+    once, with the state as it was written last.
 
     Parameters
     ----------
@@ -151,8 +153,22 @@ def _train(options: RunOptions, settings: TrainSettings, threads: int) -> None:
     from tuberline.cli.training_bar import TrainingBar
 
     torch.set_num_threads(threads)
-    with stoppable(lambda: _stopped(options.out / run.STATE)) as stopped, TrainingBar() as bar:
-        sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
+    request, bar = Request(), TrainingBar()
+
+    def step(training: Training) -> None:
+        # Before the first step there is nothing to keep, after the last one its state is written at once.
+        (request.heeds.set if training.share < 1.0 else request.heeds.clear)()
+        bar.step(training)
+
+    with stoppable(lambda: _stopped(options.out / run.STATE), request, on_request=bar.stopping) as stopped, bar:
+        sidecar = run.train(
+            options,
+            settings,
+            on_prepared=bar.prepared,
+            on_step=step,
+            on_validated=bar.validated,
+            stop=request.made.is_set,
+        )
     if stopped.is_set():
         leave()
     _tell(options.out / run.WEIGHTS, sidecar)

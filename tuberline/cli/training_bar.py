@@ -34,6 +34,10 @@ class TrainingBar:
         words = f"{name} step {progress.step}, {pace:.2f} s each, loss {progress.loss:.2f}".lstrip()
         self._bar.update(self._task, description=words, completed=training.share, total=1.0)
 
+    def stopping(self) -> None:
+        """The training was asked to stop."""
+        self._bar.console.print("stopping after this step, once the state is written; Ctrl-C again stops at once")
+
     def validated(self, training: Training, metrics: dict[str, Any]) -> None:
         """A validation is done."""
         figures, unit = metrics["validation"], unit_of(training.settings.target)
