@@ -123,7 +123,7 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
         marks = read_marks(view, chosen)
         read = ReadLoads(view)
         found = read.whole(chosen)
-        prior, calibrated = read.prior(chosen.run), _calibrated(read, chosen)
+        prior, told = read.prior(chosen.run), _loads_told(read, chosen) | _calibrated(read, chosen)
     score = score_tubers(
         tubers,
         true_tubers,
@@ -134,7 +134,25 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
         most_m=found.most_m,
         prior=prior,
     )
-    return replace(score, **calibrated)
+    return replace(score, **told)
+
+
+def _loads_told(ledger: ReadLoads, run: RunRow) -> dict[str, Any]:
+    """What the loads of a run come to as weighed, as the run's own totals and `ledger totals` add them up, as `Score`
+    names it; {} of a run without loads, which is one by itself.
+    """
+    if run.run not in ledger.loads.spans:
+        return {}
+    sums = together(run_loads(ledger, run, ()))
+    low_g, high_g = sums.seen_g
+    return {
+        "weight_g": sums.weight_g,
+        "low_g": low_g,
+        "high_g": high_g,
+        "estimated_weight_g": sums.estimated_g,
+        "estimated_low_g": sums.low_g,
+        "estimated_high_g": sums.high_g,
+    }
 
 
 def _calibrated(ledger: ReadLoads, run: RunRow) -> dict[str, Any]:
