@@ -280,6 +280,23 @@ def test_what_weigh_refuses_is_not_prepared(view: View) -> None:
                 take(cloud_of(view), belt_distance_m=belt_distance_m)
 
 
+def test_errors_name_parameters_and_no_options(view: View, recording: Path, tmp_path: Path) -> None:
+    """They named `--belt-distance-m`, the command's, to who had called a function."""
+    cloud, depth = cloud_of(view), {"intrinsics": view.intrinsics, "depth_scale_m": view.depth_scale_m}
+    check = r"check belt_distance_m and the depth scale \(depth_scale_m: 0.001 for"
+    for belt_distance_m in (0.9, 0.28):  # it floats above it, and lies below it
+        for attempt in (
+            lambda at: tuberline.weigh(cloud, belt_distance_m=at),
+            lambda at: tuberline.prepare(cloud, at),
+            lambda at: tuberline.weigh_depth(view.depth, belt_distance_m=at, u0=view.u0, v0=view.v0, **depth),
+        ):
+            with pytest.raises(tuberline.TuberlineError, match=check):
+                attempt(belt_distance_m)
+    (tmp_path / "ledger.db").touch()
+    with pytest.raises(tuberline.TuberlineError, match=r"already holds a run; give another out, .* by --resume"):
+        tuberline.replay(recording, out=tmp_path)
+
+
 def test_a_recording_is_read_frame_by_frame_and_a_bad_frame_is_not_passed_over(recording: Path, tmp_path: Path) -> None:
     import shutil
 

@@ -12,7 +12,7 @@ from conveyor.formats import CameraDescription, Refused, camera_names, describe_
 from conveyor.formats.merged import in_time
 from conveyor.messages import Frame
 from conveyor.text_files import read_json
-from tuberline.api.values import holds
+from tuberline.api.values import by_parameters, holds
 
 SCENE_RANGES = {
     "seed": (0, 1e18),
@@ -92,6 +92,7 @@ def open_recording(path: str | Path) -> Recording:
     return Recording(found.path, found.kind, cameras)
 
 
+@by_parameters
 def simulate(
     out: str | Path,
     *,

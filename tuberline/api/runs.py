@@ -20,7 +20,7 @@ from conveyor.messages import (
     Tuber,
 )
 from conveyor.messages.base import plain
-from tuberline.api.values import in_range
+from tuberline.api.values import by_parameters, in_range
 
 REGRESSORS = (1, 64)
 
@@ -54,6 +54,7 @@ class Ledger:
         return [plain(tuber) for tuber in self.tubers]
 
 
+@by_parameters
 def replay(
     recording: str | Path,
     *,

@@ -1,12 +1,40 @@
-"""Is what a caller gave a number that is allowed? Asked before anything is computed with it."""
+"""What a caller gave: a number that is allowed, before anything is computed with it; and what it is called."""
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
+import re
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, TuberlineError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def by_parameters(function: Callable[P, R]) -> Callable[P, R]:
+    """`function`, whose errors name its parameters: what it shares with a command calls `belt_distance_m` by the
+    command's option, `--belt-distance-m`.
+    """
+    names = {*inspect.signature(function).parameters, "depth_scale_m"}  # by which a cloud was made
+
+    def name(option: re.Match[str]) -> str:
+        found = option[1].replace("-", "_")
+        return found if found in names else option[0]
+
+    @wraps(function)
+    def named(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except TuberlineError as error:
+            error.args = (re.sub(r"--([a-z][a-z-]*[a-z])", name, str(error)), *error.args[1:])
+            raise
+
+    return named
 
 
 def holds(value: Any, bounds: tuple[float, float], *, whole: bool = False) -> bool:

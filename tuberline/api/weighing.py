@@ -26,7 +26,7 @@ from regressor.network.sidecar import Sidecar
 from regressor.weigh.place import distance_fault
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weigher
-from tuberline.api.values import holds, in_range
+from tuberline.api.values import by_parameters, holds, in_range
 
 if TYPE_CHECKING:
     from regressor.network.pointraft import PointRaft
@@ -155,6 +155,7 @@ def _shipped() -> Weights:
     return load_weights()
 
 
+@by_parameters
 def weigh(
     cloud: NDArray[np.floating] | str | Path,
     *,
@@ -191,6 +192,7 @@ def weigh(
     return _weighed(prepared, belt_sd_mm, weights, resting_sd_mm)
 
 
+@by_parameters
 def weigh_depth(
     depth: NDArray[np.uint16],
     *,
@@ -250,6 +252,7 @@ def weigh_depth(
     return weight
 
 
+@by_parameters
 def prepare(
     cloud: NDArray[np.floating] | str | Path,
     belt_distance_m: float,
