@@ -24,6 +24,7 @@ from regressor.studies.evaluate import (
 )
 from regressor.training.begun import differences, digest_of
 from regressor.training.labelled import labelled_files, part_of
+from regressor.training.plausible import refused_told
 from regressor.training.recipe import TrainSettings
 from regressor.training.run import STATE, WEIGHTS, RunOptions, load_sets, train
 from regressor.training.train import Training
@@ -60,10 +61,15 @@ def ablate(
     test: Path,
     max_views: int | None,
     on_step: Callable[[str, Training], None],
+    on_left_out: Callable[[str, str], None] = lambda part, words: None,
 ) -> Table:
     """Figures on `test` per variant, each network alone, and of the rules they have to beat.
 
     Weights already in `<out>/<name>` are not trained again. The table is written after every variant.
+
+    Args:
+        on_left_out: called for each variant with 'training', 'validation' or 'test', and which of those views are left
+            out, in words; not where none are.
 
     Raises:
         InputError: a name that is not known, no views in `test`, or weights there of another recipe or other training
@@ -79,8 +85,14 @@ def ablate(
     rules: Table = {}
     for name in names:
         scale = load_scale(_trained(name, settings, options, on_step))
-        figures = method_scores(evaluate(test, scale, split=part_of(test, "test"), max_views=max_views))
-        trained = scale.sidecar.training
+        judged = evaluate(test, scale, split=part_of(test, "test"), max_views=max_views)
+        figures, trained = method_scores(judged), scale.sidecar.training
+        for part, words in (
+            *trained.get("left_out", {}).items(),
+            ("test", refused_told(judged.refused, judged.refused_first)),
+        ):
+            if words:
+                on_left_out(part, words)
         table[name] = {**figures[NETWORK], "steps": float(trained["steps"]), "hours": float(trained["hours"])}
         rules = rules or {rule: figures[rule] for rule in RULES if rule in figures}
         write_table(options.out, {**table, **rules}, _recipe_words(settings, options, test))

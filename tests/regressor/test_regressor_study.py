@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,8 +32,10 @@ from regressor.training.train import Training
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
+from tuberline.cli.ablate import ablate as ablate_command
 from tuberline.cli.drift import drift as drift_command
 from tuberline.cli.evaluate import evaluate as evaluate_command
+from tuberline.cli.search import search as search_command
 from tuberline.cli.search import trial_table
 
 
@@ -69,6 +72,20 @@ def test_splits_are_written_once(tmp_path: Path) -> None:
     (tmp_path / "ground_truth.csv").write_text("label,weight_g_inctack\nT1,heavy\n", encoding="utf-8")
     with pytest.raises(InputError, match="'heavy', which is no number of grams"):
         write_splits(tmp_path, force=True)
+
+
+def test_ablations_and_searches_say_which_views_they_leave_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`train` and `evaluate` did; a table and a recipe rested on fewer views than one thought."""
+    for folder in ("val", "train/same"):
+        write_pack(tmp_path / folder, tubers=3, views=1, seed=2)
+    write_pack(tmp_path / "train/more", tubers=64, views=1, seed=1)
+    data: dict[str, Any] = {"data": tmp_path / "train", "val": tmp_path / "val", "epochs": 0.5}
+    ablate_command("pointnet", **data, test=tmp_path / "val", out=tmp_path / "ablation")
+    assert "training views left out: in_validation 3\n" in capsys.readouterr().err
+    search_command(**data, out=tmp_path / "search", trials=1)
+    assert "training views left out: in_validation 3\n" in capsys.readouterr().err
 
 
 def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from tuberline.cli.numbers import Many, Seed
-from tuberline.cli.twin_told import tell_twin
+from tuberline.cli.twin_told import tell_parts_left_out, tell_twin
 
 
 def ablate(
@@ -73,6 +73,7 @@ def ablate(
     settings = recipe_named("tuberline", shear=None, **given)
     command = shlex.join(["tuberline", *sys.argv[1:]])
     options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command, cache)
+    left_out: dict[str, str] = {}
     with TrainingBar() as bar:
         run(
             names or tuple(VARIANTS),
@@ -81,6 +82,8 @@ def ablate(
             test=test,
             max_views=max_views,
             on_step=lambda name, training: bar.step(training, name),
+            on_left_out=left_out.__setitem__,
         )
+    tell_parts_left_out(left_out)
     table, words = read_table(out)
     print_markdown(markdown(table, recipe=words))

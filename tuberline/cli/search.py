@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tuberline.cli.numbers import Many, Seed
-from tuberline.cli.twin_told import tell_twin
+from tuberline.cli.twin_told import tell_parts_left_out, tell_twin
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -66,6 +66,7 @@ def search(
     from conveyor.files import whole_output
     from regressor.studies.search import FAILED
     from regressor.studies.search import search as run
+    from regressor.training.plausible import refused_told
     from regressor.training.recipe import recipe_named
     from regressor.training.run import RunOptions, keep_memory, load_sets
     from tuberline.cli.training_bar import TrainingBar
@@ -77,6 +78,9 @@ def search(
     options = RunOptions(data, val, out, "search", False, 1e9, 1e9, max_validation_views, "", cache)
     with TrainingBar() as bar:
         sets = load_sets(options, bar.prepared, keep=settings.kept_points)
+    told = (refused_told(views.refused, views.refused_first) for views in sets)
+    tell_parts_left_out(dict(zip(("training", "validation"), told, strict=True)))
+    with TrainingBar() as bar:
         rows = run(
             *sets,
             settings,

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed, within
 from tuberline.cli.stoppable import Request, leave, stoppable
-from tuberline.cli.twin_told import tell_twin
+from tuberline.cli.twin_told import tell_parts_left_out, tell_twin
 
 if TYPE_CHECKING:
     from regressor.network.sidecar import Sidecar
@@ -196,9 +196,7 @@ def _tell(weights: Path, sidecar: Sidecar) -> None:
     from regressor.training.tuber_interval import interval_told
 
     # Weights of a best epoch may be older than these keys.
-    for part, left_out in sidecar.training.get("left_out", {}).items():
-        if left_out:
-            sys.stderr.write(f"{part} views left out: {left_out}\n")
+    tell_parts_left_out(sidecar.training.get("left_out", {}))
     told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} {sidecar.unit} per view on the validation set"
     sys.stderr.write(f"{weights}: {told}\n")
     if counted := sidecar.metrics.get("interval"):

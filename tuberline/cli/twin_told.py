@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,13 @@ def tell_twin(*folders: Path) -> None:
 def tell_left_out(folder: Path, words: str) -> None:
     """A line on stderr: which views of a folder a calibration leaves out, by reason."""
     sys.stderr.write(f"{folder}: views left out: {words}\n")
+
+
+def tell_parts_left_out(left_out: Mapping[str, str]) -> None:
+    """A line on stderr for each part of the data, as 'training', whose views are not all taken: which are left out."""
+    for part, words in left_out.items():
+        if words:
+            sys.stderr.write(f"{part} views left out: {words}\n")
 
 
 def tell_trained_resting(sidecar: Sidecar) -> None:
