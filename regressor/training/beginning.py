@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,12 +27,16 @@ from regressor.training.loop import load_state
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import check_batch, check_settings, check_start_weights
 
+CACHE = "cache"
+"""Folder of prepared clouds in that of a training."""
+
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
     """`folder`, made where it is not there, with no other training in it: two would mix states, weights and logs.
 
-    Where a file system knows no locks of folders nothing keeps the other out.
+    Where a file system knows no locks of folders nothing keeps the other out. A folder that was made goes again where
+    nothing came of it, with what was prepared of views for a training that is refused.
 
     Raises:
         InputError: it cannot be made or written. OutputError: its disk is full, or another process trains in it.
@@ -46,8 +51,10 @@ def alone_in(folder: Path) -> Iterator[None]:
             yield
         finally:
             os.close(lock)
-    except BaseException:
+    except BaseException as error:
         if fresh:
+            if isinstance(error, InputError):
+                shutil.rmtree(folder / CACHE, ignore_errors=True)
             with suppress(OSError):  # something lies in it
                 folder.rmdir()
         raise

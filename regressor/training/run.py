@@ -26,7 +26,7 @@ from regressor.network.networks import Network
 from regressor.network.sidecar import InputSpec, Range, Sidecar, checked_name
 from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
-from regressor.training.beginning import alone_in, begun_state, check_out, check_views, parts_of, start_weights
+from regressor.training.beginning import CACHE, alone_in, begun_state, check_out, check_views, parts_of, start_weights
 from regressor.training.begun import digest_of
 from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
 from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset, without
@@ -146,7 +146,7 @@ def _train(
         return
     for name in (WEIGHTS, LATEST, STATE, LOG):
         remove_partials(options.out, name)
-    remove_partials(options.out / "cache", "clouds-*")
+    remove_partials(options.out / CACHE, "clouds-*")
 
     def write(model: Network, predicted: NDArray[np.float64], best: bool) -> None:
         sidecar = make_sidecar(training, predicted, rule, options)
@@ -186,7 +186,7 @@ def load_sets(
     So are tubers under soil (counted as refused): their truth is their weight without it, nothing in a view tells it,
     and clean tubers would read light for it.
     """
-    cache = options.cache or options.out / "cache"
+    cache = options.cache or options.out / CACHE
     part, validation_part = parts_of(options.data, options.validation)
     validation = load_cloudset(
         options.validation,

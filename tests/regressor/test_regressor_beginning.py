@@ -105,6 +105,19 @@ def test_a_shard_that_cannot_be_read_is_said_to_be_that(packs: Path, tmp_path: P
         train(replace(_options(packs, tmp_path / "out"), data=tmp_path / "cut"), ONE_STEP, **SILENT)
 
 
+def test_a_training_that_is_refused_leaves_no_folder(packs: Path, tmp_path: Path) -> None:
+    """The prepared views of its validation stayed behind, in a folder that no training was in."""
+    write_twin(tmp_path / "crop", tubers=8, weights_g=["0.12"] * 8)
+    refused = replace(_options(packs, tmp_path / "out"), data=tmp_path / "crop")
+    with pytest.raises(InputError, match=r"crop: a median weight of 0.12"):
+        train(refused, ONE_STEP, **SILENT)
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "out").mkdir()
+    with pytest.raises(InputError, match=r"crop: a median weight of 0.12"):
+        train(refused, ONE_STEP, **SILENT)
+    assert [path.name[:10] for path in (tmp_path / "out" / "cache").iterdir()] == ["clouds-val"], "it was there before"
+
+
 def test_one_folder_for_both_is_said_to_have_no_parts(packs: Path, tmp_path: Path) -> None:
     """It said that a pack has no split 'val', which no one had asked for, or that splits.csv cannot be read."""
     same = replace(_options(packs, tmp_path / "out"), validation=packs / "train")
