@@ -17,6 +17,8 @@ GRAMS_PER_ML = (0.05, 20.0)
 """No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
 OFF = (OFF_THE_BELT, "below_belt", "empty_cloud")
 """Reasons of refusals that a wrong distance or unit gives."""
+HEAVIER = 10.0
+"""So many times the median weighs none that is mostly hidden: the heaviest of 859 tubers weighs 4 times as much."""
 MOST_OFF = 0.5
 """Share of a set's views that may float above or lie under their belts, or show nothing: with a wrong distance or unit
 all of them do."""
@@ -98,7 +100,7 @@ class Seen:
 
         Raises:
             InputError: the median weight is none for the median volume, most views are off their belts, none can be
-                used, or tubers are too light for what is seen of them.
+                used, or tubers are too light or too heavy for what is seen of them.
         """
         low, high = GRAMS_PER_ML
         known = [view for view in [*self._seen, *self._floating] if np.isfinite(view[1])]
@@ -118,12 +120,38 @@ class Seen:
         if not self._seen:
             told = refused_told(refused, self.first) or "none"
             raise InputError(f"{self._where} holds no view that can be weighed; refused: {told}")
-        # What is too heavy may be a view of which most is hidden; nothing makes a view too large.
-        light = {view[0]: view for view in self._seen if view[1] < low * view[2]}
+        self._check_each()
+
+    def _check_each(self) -> None:
+        """Refuse the set for single tubers.
+
+        Raises:
+            InputError: some are too light or too heavy for what is seen of them.
+        """
+        low, high = GRAMS_PER_ML
+        of = len({tuber for tuber, *_ in self._seen})
+        light = {view[0]: view for view in self._seen if view[1] < low * view[2]}  # nothing makes a view too large
         if light:
             name, weight_g, volume_ml = min(light.values())
             raise InputError(
-                f"{self._where}: {len(light)} of {len({view[0] for view in self._seen})} tubers are too light for what "
-                f"is seen of them: '{name}' weighs {weight_g:g}, with a visible volume of {volume_ml:.3g} ml; at least "
-                f"{low:g} g a ml are allowed. {CHECK}"
+                f"{self._where}: {len(light)} of {of} tubers are too light for what is seen of them: '{name}' weighs "
+                f"{weight_g:g}, with a visible volume of {volume_ml:.3g} ml; at least {low:g} g a ml are allowed. "
+                f"{CHECK}"
+            )
+        known = [view for view in self._seen if np.isfinite(view[1])]
+        median_g = float(np.median([weight_g for _, weight_g, _ in known])) if known else 0.0
+        largest_ml: dict[str, float] = {}
+        for tuber, _, volume_ml in known:
+            largest_ml[tuber] = max(volume_ml, largest_ml.get(tuber, 0.0))
+        heavy = {
+            tuber: (tuber, weight_g, largest_ml[tuber])
+            for tuber, weight_g, _ in known
+            if weight_g > max(HEAVIER * median_g, high * largest_ml[tuber])
+        }
+        if heavy:
+            name, weight_g, volume_ml = min(heavy.values())
+            raise InputError(
+                f"{self._where}: {len(heavy)} of {of} tubers are too heavy for what is seen of them: '{name}' weighs "
+                f"{weight_g:g}, with a visible volume of {volume_ml:.3g} ml; at most {high:g} g a ml are allowed where "
+                f"it is more than {HEAVIER:g} times the median. {CHECK}"
             )

@@ -214,6 +214,18 @@ def test_one_weight_in_kilograms_is_refused(tmp_path: Path) -> None:
         evaluate(tmp_path, Weigher.load())
 
 
+def test_one_weight_that_is_none_is_refused(tmp_path: Path) -> None:
+    """A tuber of 99999 g was learned from and judged by without a word; others may have their tuber mostly hidden."""
+    write_twin(tmp_path / "wrong", tubers=4, weights_g=["120", "99999", "150", "160"])
+    words = r"1 of 4 tubers are too heavy for what is seen of them: 't001' weighs 99999, with a visible volume of"
+    with pytest.raises(InputError, match=words):
+        load_cloudset(tmp_path / "wrong")
+    with pytest.raises(InputError, match=words):
+        evaluate(tmp_path / "wrong", Weigher.load())
+    write_twin(tmp_path / "heavy", tubers=4, weights_g=["120", "1150", "150", "160"])
+    assert len(load_cloudset(tmp_path / "heavy")) == 4
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
