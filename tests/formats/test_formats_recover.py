@@ -11,6 +11,7 @@ from conveyor.errors import InputError
 from conveyor.formats.conversion import convert_recording
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.mcap.recovery import recover
+from tuberline.cli.recordings import recover as recover_command
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -58,3 +59,14 @@ def test_a_first_record_that_is_damaged_is_said_to_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"r\.mcap: its first record is damaged \(.+\), and there is nothing to save"):
         recover(tmp_path / "r.mcap", tmp_path / "saved.mcap")
     assert not (tmp_path / "saved.mcap").exists()
+
+
+def test_a_whole_file_is_said_to_need_no_repair(
+    small_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It said that nothing was lost, and left a second recording beside the first that no one needed."""
+    convert_recording(small_recording, tmp_path / "r.mcap")
+    recover_command(tmp_path / "r.mcap")
+    said = capsys.readouterr().out.splitlines()
+    whole, copy = tmp_path / "r.mcap", tmp_path / "r.recovered.mcap"
+    assert said[-1] == f"{whole} was whole and needed no repair: {copy} holds the same, and may be deleted"

@@ -64,7 +64,7 @@ def recover(path: Path, /, *, out: Path | None = None, json: bool = False) -> No
     for topic, count in sorted(saved.messages.items()):
         sys.stdout.write(f"  {topic}: {count}\n")
     if saved.whole:
-        sys.stdout.write("the file was whole: nothing was lost\n")
+        sys.stdout.write(f"{path} was whole and needed no repair: {target} holds the same, and may be deleted\n")
     else:
         sys.stdout.write(f"{saved.lost_bytes} bytes could not be read ({saved.damage})\n")
 
