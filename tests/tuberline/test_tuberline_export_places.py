@@ -40,6 +40,26 @@ def test_places_of_tubers_need_no_full_cell(run: Path, tmp_path: Path, capsys: p
         export([run], format="csv", what="cells", out=tmp_path / "cells.csv", cell_m=1000.0, **HOW)  # type: ignore[arg-type]
 
 
+def test_places_of_tubers_need_no_width_where_the_delay_is_given(run: Path, tmp_path: Path) -> None:
+    """Points have none: GeoJSON of tubers was refused for want of a working width."""
+    how = {name: value for name, value in HOW.items() if name != "width_m"}
+    for name, given in (("with", HOW), ("without", how)):
+        for form in ("csv", "geojson"):
+            export([run], format=form, out=tmp_path / f"{name}.{form}", **given)  # type: ignore[arg-type]
+    assert (tmp_path / "with.csv").read_text() == (tmp_path / "without.csv").read_text()
+    points = [
+        [feature["geometry"] for feature in json.loads((tmp_path / f"{name}.geojson").read_text())["features"]]
+        for name in ("with", "without")
+    ]
+    assert points[0] == points[1]
+    assert sum(point is not None for point in points[1]) > 100
+    with pytest.raises(InputError, match=r"needs the working width: give --width-m .*; to place tubers --delay-s will"):
+        export([run], format="geojson", out=tmp_path / "none.geojson")
+    for form, what in (("isoxml", "tubers"), ("csv", "cells")):
+        with pytest.raises(InputError, match=r"needs the working width: .* in the line's config$"):
+            export([run], format=form, what=what, out=tmp_path / "none", **how)  # type: ignore[arg-type]
+
+
 def test_a_table_of_cells_says_where_they_are(run: Path, tmp_path: Path) -> None:
     """CSV, Parquet and workbooks of cells had no place at all."""
     for form in ("csv", "geojson"):

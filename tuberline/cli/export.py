@@ -84,7 +84,8 @@ def export(
     target = output(runs, f"{name}.{ENDINGS.get(form, form.value)}", out, read=(*tracks, contract))
     _check_name(form, out)
     how = {"width_m": width_m, "overlap_m": overlap_m, "delay_s": delay_s, "antenna_ahead_m": None}
-    settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
+    places_alone = what == "tubers" and form not in (*REPORTS, Format.ISOXML)
+    settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s, "places_alone": places_alone}
     # Of one moment: places are found for the same tubers as the rows have.
     with counted(runs if what == "tubers" and form not in REPORTS else ()) as tubers:
         field, no_map = None, ""
