@@ -228,7 +228,7 @@ def prepare_cloud(
     if not len(points):
         raise RefusedCloud("empty_cloud")
     if not (np.abs(points) < FARTHEST_M).all():
-        raise RefusedCloud("not_finite")
+        raise RefusedCloud("not_finite", "" if np.isfinite(points).all() else "take cloud[np.isfinite(cloud).all(1)]")
     points, image = gridded(points, most=MAX_POINTS)
     if image is not None:
         return prepare_depth(

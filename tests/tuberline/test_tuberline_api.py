@@ -280,6 +280,21 @@ def test_what_weigh_refuses_is_not_prepared(view: View) -> None:
                 take(cloud_of(view), belt_distance_m=belt_distance_m)
 
 
+def test_a_missing_mask_and_holes_in_a_cloud_are_told_how_to_mend(view: View) -> None:
+    """A whole image was said to lie on its belt, and of a cloud with NaN not how to take the points that are known."""
+    with_belt = np.where(view.depth > 0, view.depth, round(0.345 / view.depth_scale_m)).astype(np.uint16)
+    whole = np.full((view.intrinsics.height, view.intrinsics.width), with_belt[0, 0])
+    rows, columns = view.depth.shape
+    whole[view.v0 : view.v0 + rows, view.u0 : view.u0 + columns] = with_belt
+    with pytest.raises(tuberline.TuberlineError, match="where the image shows belt, give the mask of the tuber's"):
+        tuberline.weigh_depth(
+            whole, intrinsics=view.intrinsics, depth_scale_m=view.depth_scale_m, belt_distance_m=0.345
+        )
+    cloud = np.vstack([cloud_of(view), np.full(3, np.nan)])
+    with pytest.raises(tuberline.TuberlineError, match=r"not finite.*; take cloud\[np.isfinite\(cloud\).all\(1\)\]"):
+        tuberline.weigh(cloud, belt_distance_m=0.345)
+
+
 def test_errors_name_parameters_and_no_options(view: View, recording: Path, tmp_path: Path) -> None:
     """They named `--belt-distance-m`, the command's, to who had called a function."""
     cloud, depth = cloud_of(view), {"intrinsics": view.intrinsics, "depth_scale_m": view.depth_scale_m}

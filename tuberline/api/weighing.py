@@ -24,7 +24,7 @@ from regressor.network.grouping import SharedGroups, group_prefix, group_random
 from regressor.network.sampling import farthest_points
 from regressor.network.sidecar import Sidecar
 from regressor.weigh.place import distance_fault
-from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tuberline.api.values import by_parameters, holds, in_range
 
@@ -237,15 +237,20 @@ def weigh_depth(
     seen = depth if mask is None else np.where(mask, depth, 0).astype(np.uint16)
     box = box_around(seen > 0)
     rows, columns = box
-    prepared = prepare_depth(
-        seen[box],
-        depth_scale_m=depth_scale_m,
-        fx=intrinsics.fx,
-        fy=intrinsics.fy,
-        cx=intrinsics.cx - (u0 + columns.start),
-        cy=intrinsics.cy - (v0 + rows.start),
-        belt_from_camera=pose,
-    )
+    try:
+        prepared = prepare_depth(
+            seen[box],
+            depth_scale_m=depth_scale_m,
+            fx=intrinsics.fx,
+            fy=intrinsics.fy,
+            cx=intrinsics.cx - (u0 + columns.start),
+            cy=intrinsics.cy - (v0 + rows.start),
+            belt_from_camera=pose,
+        )
+    except RefusedCloud as error:
+        if mask is None and error.reason == "below_belt":
+            raise InputError(f"{error}; where the image shows belt, give the mask of the tuber's pixels") from error
+        raise
     weight = _weighed(prepared, belt_sd_mm, weights)
     if at_border(box, intrinsics, u0=u0, v0=v0):
         weight = replace(weight, flags=(*weight.flags, CUT))
