@@ -144,8 +144,12 @@ def labelled_files(folder: Path, *, split: str | None = None) -> list[Path]:
         cameras = sorted((folder / RGBD / INTRINSICS).glob("*.json"))
         return [folder / TRUTH, *cameras, *sorted((folder / RGBD).rglob("*.p[nl][gy]"))]
     if not folder.is_dir():
-        why = "is a file: give the folder that it is in" if folder.exists() else "is not there"
-        raise InputError(f"{folder} {why}")
+        raise InputError(
+            f"{folder} is a file: give the folder that it is in"
+            if folder.exists()
+            else f"{folder} is not there: give a folder of view packs (`tuberline simulate-views`) or a 3DPotatoTwin "
+            "folder"
+        )
     raise InputError(
         f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
         "(a 3DPotatoTwin folder)"

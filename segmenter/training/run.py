@@ -19,7 +19,7 @@ from torch import nn
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.files import whole_output
-from conveyor.formats.packs.belts import belt_pack_meta
+from conveyor.formats.packs.belts import belt_pack_meta, belt_shards
 from segmenter.classify.patch import CHANNELS, SIZE
 from segmenter.training.blocks import export_net
 from segmenter.training.classifier_net import ClassifierNet, ClassifierRecipe, classified, scores, train_classifier
@@ -163,7 +163,11 @@ def _sidecar(
 
 
 def _origins(folder: Path) -> list[dict[str, Any]]:
-    return [origin_of(path) for path in sample_files(folder)] or [belt_pack_meta(folder)]
+    """Of the patches or belts of a folder; whether there are any is told before those of another are cut."""
+    if files := sample_files(folder):
+        return [origin_of(path) for path in files]
+    belt_shards(folder)
+    return [belt_pack_meta(folder)]
 
 
 def _samples(folder: Path) -> list[TrainingSample]:

@@ -143,6 +143,21 @@ def test_no_training_goes_on_from_nothing(packs: Path, tmp_path: Path, missing: 
     assert not (tmp_path / "classifier.onnx").exists()
 
 
+def test_a_folder_that_is_not_there_is_told_before_another_is_cut(tmp_path: Path) -> None:
+    """A wrong --val was told after the belts of --data had been cut for minutes, and as one that holds nothing."""
+    (tmp_path / "belts").mkdir()
+    (tmp_path / "belts" / "belts-00000.npz").write_bytes(b"is not read")
+    run = TrainingRun((tmp_path / "belts",), tmp_path / "gone", tmp_path / "out", "x", "tuberline train-classifier")
+    words = r"gone is not there: name a folder of belts, made with `tuberline simulate-belts --out FOLDER`"
+    with pytest.raises(InputError, match=words):
+        make_classifier(run, ClassifierRecipe(epochs=1), on_step=lambda step, total, loss: None)
+    with pytest.raises(InputError, match=words):
+        make_patches(data=[tmp_path / "belts", tmp_path / "gone"], out=tmp_path / "out")
+    (tmp_path / "gone").mkdir()
+    with pytest.raises(InputError, match=r"gone holds no belts-\*\.npz: name a folder"):
+        make_classifier(run, ClassifierRecipe(epochs=1), on_step=lambda step, total, loss: None)
+
+
 def test_nothing_is_validated_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
     same = TrainingRun((packs / "val", packs / "train"), packs / "train", tmp_path, "classifier", "test")
     with pytest.raises(InputError, match="learned from"):

@@ -26,9 +26,11 @@ def make_patches(*, data: list[Path], out: Path, force: bool = False) -> None:
     force
         Overwrite a file that is there.
     """
-    from conveyor.formats.packs.belts import belt_pack_meta
+    from conveyor.formats.packs.belts import belt_pack_meta, belt_shards
 
     check_room(out, option="--out")
+    for folder in data:
+        belt_shards(folder)
     origins = {folder: belt_pack_meta(folder) for folder in data}
     paths: dict[Path, Path] = {}
     for folder, origin in origins.items():

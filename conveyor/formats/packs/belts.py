@@ -64,7 +64,8 @@ def belt_shards(folder: Path) -> list[Path]:
     """
     shards = sorted(folder.glob(PATTERN))
     if not shards:
-        raise InputError(f"{folder} holds no {PATTERN}: make some with `tuberline simulate-belts --out {folder}`")
+        wrong = f"holds no {PATTERN}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
+        raise InputError(f"{folder} {wrong}: name a folder of belts, made with `tuberline simulate-belts --out FOLDER`")
     return shards
 
 
