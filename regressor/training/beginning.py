@@ -32,17 +32,30 @@ CACHE = "cache"
 
 
 @contextmanager
+def gone_where_refused(folder: Path) -> Iterator[None]:
+    """A folder that work makes goes again where nothing came of it, with views prepared for work that is refused."""
+    fresh = not folder.exists()
+    try:
+        yield
+    except BaseException as error:
+        if fresh:
+            if isinstance(error, InputError):
+                shutil.rmtree(folder / CACHE, ignore_errors=True)
+            with suppress(OSError):  # something lies in it, or it was not made
+                folder.rmdir()
+        raise
+
+
+@contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
     """`folder`, made where it is not there, with no other training in it: two would mix states, weights and logs.
 
-    Where a file system knows no locks of folders nothing keeps the other out. A folder that was made goes again where
-    nothing came of it, with what was prepared of views for a training that is refused.
+    Where a file system knows no locks of folders nothing keeps the other out.
 
     Raises:
         InputError: it cannot be made or written. OutputError: its disk is full, or another process trains in it.
     """
-    fresh = not folder.exists()
-    try:
+    with gone_where_refused(folder):
         check_folder(folder, option="--out")
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -51,13 +64,6 @@ def alone_in(folder: Path) -> Iterator[None]:
             yield
         finally:
             os.close(lock)
-    except BaseException as error:
-        if fresh:
-            if isinstance(error, InputError):
-                shutil.rmtree(folder / CACHE, ignore_errors=True)
-            with suppress(OSError):  # something lies in it
-                folder.rmdir()
-        raise
 
 
 def _take(lock: int, folder: Path) -> None:

@@ -88,6 +88,17 @@ def test_ablations_and_searches_say_which_views_they_leave_out(
     assert "training views left out: in_validation 3\n" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["ablate", "search"])
+def test_studies_that_are_refused_leave_no_folder(pack: Path, tmp_path: Path, command: str) -> None:
+    """Prepared validation views stayed behind, of a study that never began."""
+    write_twin(tmp_path / "crop", tubers=32, weights_g=["0.12"] * 32)
+    data: dict[str, Any] = {"data": tmp_path / "crop", "val": pack, "out": tmp_path / "out"}
+    ways = {"ablate": lambda: ablate_command("pointnet", **data, test=pack), "search": lambda: search_command(**data)}
+    with pytest.raises(InputError, match=r"crop: a median weight of 0.12"):
+        ways[command]()
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     optuna = pytest.importorskip("optuna")
     optuna.logging.enable_propagation()

@@ -62,6 +62,7 @@ def ablate(
 
     from regressor.studies.ablate import VARIANTS, markdown, read_table
     from regressor.studies.ablate import ablate as run
+    from regressor.training.beginning import gone_where_refused
     from regressor.training.recipe import recipe_named
     from regressor.training.run import RunOptions
     from tuberline.cli.markdown import print_markdown
@@ -74,7 +75,7 @@ def ablate(
     command = shlex.join(["tuberline", *sys.argv[1:]])
     options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command, cache)
     left_out: dict[str, str] = {}
-    with TrainingBar() as bar:
+    with gone_where_refused(out), TrainingBar() as bar:
         run(
             names or tuple(VARIANTS),
             settings,

@@ -66,6 +66,7 @@ def search(
     from conveyor.files import whole_output
     from regressor.studies.search import FAILED
     from regressor.studies.search import search as run
+    from regressor.training.beginning import gone_where_refused
     from regressor.training.plausible import refused_told
     from regressor.training.recipe import recipe_named
     from regressor.training.run import RunOptions, keep_memory, load_sets
@@ -76,7 +77,7 @@ def search(
     keep_memory()
     settings = recipe_named(recipe, shear=None, epochs=epochs, minutes=minutes, compute=compute, seed=seed)
     options = RunOptions(data, val, out, "search", False, 1e9, 1e9, max_validation_views, "", cache)
-    with TrainingBar() as bar:
+    with gone_where_refused(out), TrainingBar() as bar:
         sets = load_sets(options, bar.prepared, keep=settings.kept_points)
     told = (refused_told(views.refused, views.refused_first) for views in sets)
     tell_parts_left_out(dict(zip(("training", "validation"), told, strict=True)))
