@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic_core import PydanticKnownError
 
 from conveyor.endpoints import host_and_port
 from conveyor.errors import TuberlineError
@@ -26,6 +28,25 @@ RestingOffset = Annotated[float, Field(ge=RESTING_OFFSET_MM[0], le=RESTING_OFFSE
 RestingSd = Annotated[float, Field(ge=RESTING_SD_MM[0], le=RESTING_SD_MM[1]), AfterValidator(_level)]
 
 
+_NUMBERS: set[type] = {int, float}
+
+
+def _kinds(annotation: object) -> set[type]:
+    """What the values of a field are, those in its lists too."""
+    if isinstance(annotation, type) and not get_args(annotation):
+        return {annotation}
+    return {kind for part in get_args(annotation) for kind in _kinds(part)}
+
+
+def _items(value: object) -> Iterator[object]:
+    """The value, or what lists hold in its place."""
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _items(item)
+    else:
+        yield value
+
+
 class Section(BaseModel):
     """Base of all sections: frozen, no unknown keys, every default checked."""
 
@@ -41,11 +62,16 @@ class Section(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_truth_value(cls, value: object, info: ValidationInfo) -> object:
-        """True would be read as 1."""
-        annotation = cls.model_fields[info.field_name or ""].annotation
-        if isinstance(value, bool) and bool not in (annotation, *get_args(annotation)):
-            raise ValueError("true and false are not allowed here")
+    def _of_its_kind(cls, value: object, info: ValidationInfo) -> object:
+        """Pydantic would read true as 1, 1 and "yes" as true, and "2" as 2."""
+        kinds = _kinds(cls.model_fields[info.field_name or ""].annotation)
+        for item in _items(value):
+            if isinstance(item, bool) and bool not in kinds:
+                raise ValueError("true and false are not allowed here")
+            if isinstance(item, str) and kinds & _NUMBERS and str not in kinds:
+                raise PydanticKnownError("int_type" if int in kinds else "float_type")
+            if not isinstance(item, bool) and bool in kinds and item is not None:
+                raise PydanticKnownError("bool_type")
         return value
 
     @field_validator("*")
