@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from conveyor.config_access import AccessConfig
 from conveyor.config_alarms import AlarmsConfig
 from conveyor.config_base import BeltSd, Endpoint, RestingOffset, RestingSd, Section, checked_name
-from conveyor.config_camera import CameraConfig
+from conveyor.config_camera import CameraConfig, one_device_each
 from conveyor.config_encoder import EncoderConfig
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
@@ -249,10 +249,9 @@ class LineConfig(Section):
 
     @field_validator("cameras")
     @classmethod
-    def _camera_names(cls, cameras: dict[str, CameraConfig]) -> dict[str, CameraConfig]:
-        for name in cameras:
-            checked_name(name, "camera")
-        return cameras
+    def _cameras_apart(cls, cameras: dict[str, CameraConfig]) -> dict[str, CameraConfig]:
+        one_device_each(cameras)
+        return {checked_name(name, "camera"): camera for name, camera in cameras.items()}
 
     @model_validator(mode="after")
     def _one_reader_a_port(self) -> Self:

@@ -27,6 +27,12 @@ Turned = Annotated[float, Field(ge=-180, le=180)]
 Row = tuple[float, float, float, float]
 PLACE = ("across_m", "along_m", "turned_deg")
 """Keys that say where a camera hangs, beside its distance."""
+OF_SOURCE = {
+    "recording": ("path", "camera", "speed", "starts_at_s", "window", "ignore_masks"),
+    "realsense": ("serial", "realsense"),
+    "ros2": ("topic", "info_topic", "ros_domain", "ros_router"),
+}
+"""Keys that say nothing to cameras of another source; `waits = false` is true of a device, too."""
 
 
 class CameraConfig(Section):
@@ -104,7 +110,7 @@ class CameraConfig(Section):
 
     @model_validator(mode="after")
     def _by_the_clock(self) -> Self:
-        if self.starts_at_s is not None and (self.waits or self.speed == 0 or self.source != "recording"):
+        if self.starts_at_s is not None and self.source == "recording" and (self.waits or self.speed == 0):
             raise ValueError("starts_at_s plays a recording by the clock: it needs waits = false and a speed above 0")
         return self
 
@@ -114,6 +120,13 @@ class CameraConfig(Section):
             raise ValueError(f"source '{self.source}' takes no path ({self.path}); remove one of both")
         if self.source != "realsense" and self.realsense != RealSenseConfig():
             raise ValueError(f"a section realsense is for source = 'realsense'; the source is '{self.source}'")
+        for source, keys in OF_SOURCE.items():
+            given = [key for key in keys if getattr(self, key) != type(self).model_fields[key].default]
+            if given and source != self.source:
+                raise ValueError(
+                    f"{' and '.join(given)} of source = '{source}', but the source is '{self.source}': correct "
+                    f"source, or remove {'it' if len(given) == 1 else 'them'}"
+                )
         return self
 
     @model_validator(mode="after")
@@ -147,6 +160,22 @@ class CameraConfig(Section):
         if self.pose is not None:
             return CameraPlace.of(self.pose)
         return CameraPlace(self.along_m or 0.0, self.across_m or 0.0, self.turned_deg or 0.0)
+
+
+def one_device_each(cameras: Mapping[str, CameraConfig]) -> None:
+    """Refuse two cameras of one device; raises ValueError with their names.
+
+    Those that name none take the first device of their own computer, which may be two.
+    """
+    by_serial: dict[str, list[str]] = {}
+    for name, camera in sorted(cameras.items()):
+        if camera.serial is not None:
+            by_serial.setdefault(camera.serial, []).append(name)
+    for serial, names in by_serial.items():
+        if len(names) > 1:
+            raise ValueError(
+                f"cameras {', '.join(names)} all have serial '{serial}': a device gives its frames to one camera"
+            )
 
 
 def at_one_place(cameras: Mapping[str, CameraConfig]) -> tuple[str, ...]:

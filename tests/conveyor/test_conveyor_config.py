@@ -97,6 +97,43 @@ def test_a_device_takes_no_path(source: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        (
+            {"serial": "7"},
+            "serial of source = 'realsense', but the source is 'recording': correct source, or remove it",
+        ),
+        ({"source": "realsense", "speed": 2.0}, "speed of source = 'recording', but the source is 'realsense'"),
+        ({"source": "ros2", "window": 3, "camera": "a"}, "camera and window of source = 'recording', .* remove them$"),
+        ({"source": "realsense", "topic": "/depth"}, "topic of source = 'ros2', but the source is 'realsense'"),
+        ({"source": "realsense", "waits": False, "starts_at_s": 1.8e9}, "starts_at_s of source = 'recording', but"),
+    ],
+)
+def test_a_key_of_another_source_is_refused(camera: dict[str, object], said: str) -> None:
+    """Each was left out in silence, as a misspelt key never was."""
+    with pytest.raises(ConfigError, match=rf"cameras\.front: {said}"):
+        parse_config({"cameras": {"front": camera}}, where="test")
+
+
+def test_what_holds_for_every_source_is_no_key_of_another_one() -> None:
+    written = parse_config({"cameras": {"front": {"source": "realsense", "waits": False}}}, where="test")
+    assert parse_config(tomllib.loads(dump_toml(written)), where="test") == written, "with every default in it"
+
+
+def test_two_cameras_of_one_device_are_refused() -> None:
+    """One of them gave frames, the other waited for its device for ever."""
+    front = {"source": "realsense", "serial": "7", "belt_distance_m": 0.4}
+    cameras = {"front": front, "rear": {**front, "across_m": 0.5}}
+    with pytest.raises(ConfigError, match=r"cameras: cameras front, rear all have serial '7': a device gives its"):
+        parse_config({"cameras": cameras}, where="test")
+    cameras["rear"]["serial"] = "8"
+    parse_config({"cameras": cameras}, where="test")
+    for camera in cameras.values():
+        del camera["serial"]
+    parse_config({"cameras": cameras}, where="each on a computer of its own")
+
+
+@pytest.mark.parametrize(
     ("router", "fix"),
     [
         ("edge", "tcp/edge:7447"),

@@ -58,6 +58,10 @@ def test_the_page_has_a_row_for_each_key() -> None:
 
 BESIDE = {
     "cameras.<camera>.starts_at_s": "waits = false",
+    "cameras.<camera>.serial": 'source = "realsense"',
+    "cameras.<camera>.topic": 'source = "ros2"',
+    "cameras.<camera>.info_topic": 'source = "ros2"',
+    "cameras.<camera>.ros_": 'source = "ros2"',
     "cameras.<camera>.realsense.": '[cameras.front]\nsource = "realsense"',
     "belt.gauge_width_m": 'gauge = "belt-width"',
     "belt.gauge_size_mm": 'gauge = "bar"\ngauge_place_mm = [0, -420, 100]',
