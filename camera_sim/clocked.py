@@ -6,6 +6,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Protocol
 
@@ -18,6 +19,8 @@ BEHIND_S = 0.5
 """A device keeps this much of its newest frames; what is older when it is asked for is gone."""
 LOOK_EVERY_S = 0.02
 AT_ONCE_S = 0.002
+SOON_S = 60.0
+"""A recording that begins later, or was over earlier, is told."""
 
 
 class Clock(Protocol):
@@ -51,10 +54,12 @@ class ClockedSource:
     def __init__(self, inner: RecordedSource, *, starts_at_s: float, speed: float, clock: Clock = time) -> None:
         self._inner = inner
         self._clock = clock
-        self._description = replace(inner.description, live=True)
         self._starts_s = clock.monotonic() + starts_at_s - clock.time()
         self._speed = speed
         self._poll: Callable[[float], bool] = lambda still_s: True
+        self._description = replace(inner.description, live=True)
+        if untimely := self._untimely(starts_at_s):
+            self._description = replace(self._description, notes=(*inner.description.notes, untimely))
 
     @property
     def description(self) -> CameraDescription:
@@ -87,6 +92,16 @@ class ClockedSource:
                 at += 1
             else:
                 return
+
+    def _untimely(self, starts_at_s: float) -> str:
+        """That nothing of it comes for long, or that all of it is over, in words; empty where it is neither."""
+        ahead_s = self._starts_s - self._clock.monotonic()
+        told = f"starts_at_s = {starts_at_s:.0f} is {datetime.fromtimestamp(starts_at_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
+        if ahead_s > SOON_S:
+            return f"{told}: its first frame comes in {ahead_s / 3600:.1f} h"
+        keys = self._inner.keys()
+        over_s = -ahead_s - (max(self._passed_s(keys)) / self._speed if keys else 0.0)
+        return f"{told}: it was over {over_s / 3600:.1f} h ago, only its last frame comes" if over_s > SOON_S else ""
 
     def _passed_s(self, keys: list[FrameKey]) -> Iterator[float]:
         """Seconds from the first frame to each. A recorded clock that was set back takes no time, one that was set

@@ -48,6 +48,7 @@ class CameraConfig(Section):
     starts_at_s: float | None = Field(
         None,
         gt=0,
+        le=4e9,
         description="play a recording as a camera that began then (s since 1970): late is gone; with waits = false",
     )
     window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")

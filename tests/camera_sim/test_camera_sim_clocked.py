@@ -18,6 +18,7 @@ from conveyor.errors import ConfigError
 from conveyor.formats import Refused, open_source
 from conveyor.formats.source import FrameKey, RecordedSource
 from conveyor.messages import Frame
+from tuberline.doctor.examine import examine
 
 
 def played(recording: Path, *, began_s_ago: float, after: int = -1, sleep_at: int | None = None) -> list[int]:
@@ -123,6 +124,27 @@ def test_a_machine_that_is_slow_enough_still_gets_frames(recording: Path) -> Non
     assert len(seqs) >= 2
     assert seqs[-1] == last
     assert max(b - a for a, b in pairwise(seqs)) >= 4
+
+
+def test_a_time_that_is_far_off_is_told_and_one_in_milliseconds_refused(recording: Path) -> None:
+    """A camera waited in silence for years, or showed one frame; `doctor` never came to an end."""
+
+    def notes(in_s: float) -> tuple[str, ...]:
+        clock = Still()
+        source = ClockedSource(inner, starts_at_s=clock.now_s + in_s, speed=1.0, clock=clock)
+        return source.description.notes[len(inner.description.notes) :]
+
+    inner = open_source(recording, camera="left")
+    assert notes(7200) == ("starts_at_s = 1700007200 is 2023-11-15 00:13:20 UTC: its first frame comes in 2.0 h",)
+    told = "starts_at_s = 1699992800 is 2023-11-14 20:13:20 UTC: it was over 2.0 h ago, only its last frame comes"
+    assert notes(-7200) == (told,)
+    assert (notes(5.0), notes(-5.0)) == ((), ())
+    camera = {"path": str(recording), "waits": False, "starts_at_s": time.time() + 86400}
+    found = examine(parse_config({"cameras": {"left": camera}}, where="here"), offline=True)
+    assert [f.level.value for f in found if "its first frame comes in 24.0 h" in f.text] == ["warning"]
+    camera["starts_at_s"] = 1000 * time.time()
+    with pytest.raises(ConfigError, match=r"cameras\.left\.starts_at_s: must be at most 4000000000 s \(got 1\d+\."):
+        parse_config({"cameras": {"left": camera}}, where="here")
 
 
 def test_it_needs_a_camera_that_waits_for_no_one() -> None:

@@ -17,7 +17,7 @@ from conveyor.errors import InputError, TuberlineError
 from conveyor.files import told
 from conveyor.messages import Counters
 from conveyor.observer import Observer
-from tuberline.doctor.finding import Finding, fault, ok
+from tuberline.doctor.finding import Finding, fault, ok, warning
 from tuberline.doctor.places import check_agreement, check_exchanged, check_places
 
 LISTEN_S = 2.5
@@ -167,12 +167,16 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
     """Look through a camera: does it give frames, and where do they show the belt?"""
     from camera_sim.configured import configured_source
     from conveyor.formats import Refused
+    from conveyor.formats.configured import recorded_source
     from conveyor.geometry import belt_distance_m
     from segmenter.frame.plane import fit_plane
     from tuberline.doctor.belt import check_belt_seen
     from tuberline.doctor.depth import check_depth, trained_range
 
-    source = configured_source(config, name)
+    source = clocked = configured_source(config, name)
+    if config.camera(name).starts_at_s is not None:
+        source = recorded_source(config, name)  # by the clock its first frame may come next week
+    untimely = [note for note in clocked.description.notes if note not in source.description.notes]
     frames: Any = source.frames(run="doctor")
     with closing(frames):  # a device is let go again
         taken = list(islice(frames, LOOK_AT_FRAMES))
@@ -190,6 +194,7 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
             name, given_m=given_m, seen_m=seen_m, frames=len(usable), by_travel=config.belt.gauge == "travel"
         ),
         check_depth(name, usable, trained_range(config)),
+        *(warning(f"camera {name}", note, f"correct starts_at_s of [cameras.{name}]") for note in untimely),
     ]
 
 
