@@ -264,7 +264,7 @@ def become(server: int, environment: Mapping[str, str], log: BinaryIO | None) ->
     """What the process `server` had set for itself, as a node has it."""
     if log is not None:
         os.dup2(log.fileno(), sys.stderr.fileno())
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C before it works ends it, without a traceback
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
         signal.signal(signal.SIGHUP, signal.SIG_DFL)

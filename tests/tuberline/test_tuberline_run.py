@@ -20,6 +20,7 @@ from tests.conftest import wait_until
 from tuberline.cli.config import check
 from tuberline.cli.run import run, summarise_late
 from tuberline.processes import usual_regressors
+from tests.conveyor.test_conveyor_orphan import gone
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
 
@@ -104,6 +105,19 @@ def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_le
 def test_the_summary_of_a_run_that_was_final_long_ago_is_left_as_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 128 + signal.SIGTERM)])
+def test_a_line_that_is_stopped_while_it_starts_starts_no_more(tmp_path: Path, number: int, code: int) -> None:
+    """It started all its nodes first, each with what that loads: on a busy machine it left after 8 to 17 s."""
+    config, logs = line_file(tmp_path, tmp_path / "belt"), tmp_path / "logs"
+    line = subprocess.Popen([sys.executable, "-m", "tuberline", "run", str(config), "--logs", str(logs)])
+    wait_until(lambda: (logs / "router.log").exists(), what="the first of its nodes", timeout_s=90)
+    router = child(line.pid, "router")
+    line.send_signal(number)
+    assert line.wait(60) == code
+    assert not (logs / "camera-front.log").exists()
+    assert router is None or gone(router)
+
+
     """Ctrl-C some seconds after a recording's end was told that the aggregator had been down."""
     line = load_config(line_file(tmp_path, tmp_path / "belt"))
     summary = tmp_path / "run" / "summary.json"

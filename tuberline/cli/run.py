@@ -70,12 +70,12 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     shown = sys.stderr.isatty()
     stop = threading.Event()
-    stop_when_told(stop)
     specs = line_processes(line, config_path=config.resolve(), run=run_id, router=not no_router)
     log_dir = logs or (line.aggregator.out / "logs" if shown else None)
     if not no_router:
-        check_port_free(line.link, stop=stop.is_set)
-    with Supervisor(specs, log_dir=log_dir) as supervisor:
+        check_port_free(line.link)
+    with Supervisor(specs, log_dir=log_dir) as supervisor:  # a signal that comes while it starts nodes breaks into that
+        stop_when_told(stop)
         if shown:
             _show(supervisor, line, stop)
         while not (stop.wait(LOOK_EVERY_S) or supervisor.finished("aggregator")):
