@@ -220,6 +220,7 @@ def test_the_supervisor_watches_without_being_asked(tmp_path: Path, free_port: i
 def test_codes_are_those_of_the_units() -> None:
     unit = (ROOT / "deploy/systemd/tuberline-.service.d/10-common.conf").read_text()
     assert f"\nRestartPreventExitStatus={PERMANENT}\n" in unit
+    assert "\nRestart=always\n" in unit, "a node that a guard of the memory had ended stayed away: it ends with 0"
     assert "\nStartLimitIntervalSec=0\n" in unit
     assert f"\nWatchdogSec={heartbeat.STILL_AFTER_S:g}\n" in unit
     assert f"\nTimeoutStartSec={heartbeat.START_WITHIN_S:g}\n" in unit
