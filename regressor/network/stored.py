@@ -8,9 +8,11 @@ only for what NumPy cannot read.
 from __future__ import annotations
 
 import hashlib
+import io
 import pickle
 from pathlib import Path
 from typing import Any, TypeAlias
+from zipfile import is_zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,9 @@ from regressor.network.unwrap import objects_within, state_dict_within
 
 SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-sim.safetensors"
 MAX_CHECKPOINT_BYTES = 64 << 20
+PICKLED = b"\x80"
+"""What torch has saved is a zip file, or, before 2020, begins so."""
+NO_WEIGHTS = "no safetensors file or PyTorch state dict"
 
 State: TypeAlias = dict[str, NDArray[Any]]
 """A network's parameters by their names: float32, and counts as whole numbers."""
@@ -54,12 +59,12 @@ def check_weights(path: Path) -> None:
     """What can be told of them without torch, which takes two seconds and 200 MB to import.
 
     Raises:
-        InputError: as `load_weights`; of a .pth only that it cannot be read.
+        InputError: as `load_weights`; of a .pth only that it cannot be read, or is a file of another kind.
     """
     if path.suffix == ".safetensors":
         load_weights(path)
-    else:
-        _bytes(path)
+    elif not ((data := _bytes(path)).startswith(PICKLED) or is_zipfile(io.BytesIO(data))):
+        raise InputError(f"weights {path} are {NO_WEIGHTS}")
 
 
 def embeds_height(state: State) -> bool:
@@ -101,7 +106,7 @@ def _arrays(path: Path, data: bytes) -> State:
     except Exception as error:  # both libraries raise a wide, undocumented set for broken files
         said = next(iter(str(error).splitlines()), "")
         why = f": {said}" if " " in said else ""  # of a file of another kind pickle says no more than a number
-        raise InputError(f"weights {path} are no safetensors file or PyTorch state dict{why}") from error
+        raise InputError(f"weights {path} are {NO_WEIGHTS}{why}") from error
     return {
         name: value.astype(np.float32, copy=False) if value.dtype.kind == "f" else value
         for name, value in state_dict_within(saved, where=path).items()

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from conveyor.config import load_config
 from conveyor.errors import PERMANENT, ConfigError, InputError, TuberlineError
 from conveyor.taken_port import free_port
+from regressor.network.stored import SHIPPED
 from tests.belts import simulate, tuberline
 from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
@@ -266,6 +269,30 @@ source = "file:{tmp_path}/gone.nmea"
 
 
 def test_access_control_without_certificates_is_refused_before_it_starts(tmp_path: Path) -> None:
+def test_weights_that_are_none_are_found_before_a_line_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A text as .pth was called fine: each regressor gave up once all had started, and nothing was weighed."""
+    whole, file = tmp_path / "whole.pth", tmp_path / "line.toml"
+    torch.save({"a": torch.zeros(100)}, whole)
+    shipped = SHIPPED.read_bytes()
+    for name, data, fine in (
+        ("notes.txt", b"not yet trained", False),
+        ("cut.pth", whole.read_bytes()[:-50], False),
+        ("cut.safetensors", shipped[:-50], False),
+        ("whole.pth", whole.read_bytes(), True),
+        ("whole.safetensors", shipped, True),
+    ):
+        (tmp_path / name).write_bytes(data)
+        file.write_text(f'[cameras.front]\npath = "{tmp_path}"\n[regressor]\nweights = "{name}"\n', encoding="utf-8")
+        check(file)
+        told = f"regressor.weights: weights {tmp_path / name} are no safetensors file or PyTorch state dict"
+        assert (told in capsys.readouterr().err) != fine, name
+        if not fine:
+            with pytest.raises(ConfigError, match=re.escape(told)):
+                run(file)
+
+
     """Its router ended, and the line after it."""
     file = line_file(tmp_path, tmp_path / "belt")
     file.write_text(file.read_text() + "[access]\nenabled = true\n")
