@@ -261,7 +261,7 @@ def test_a_recording_that_is_not_here_is_warned_of(tmp_path: Path, capsys: pytes
 
 
 def test_a_ledger_s_folder_that_is_none_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    check(write(tmp_path, '[aggregator]\nout = "/dev/null"'))
+    check(write(tmp_path, '[aggregator]\nout = "/dev/null"\n[cameras.front]\npath = "."'))
     told = capsys.readouterr()
     assert "is accepted, with 1 warning" in told.out
     assert told.err.startswith("warning: aggregator.out: /dev/null is no folder on this computer")

@@ -20,10 +20,10 @@ from regressor.network.stored import SHIPPED
 from tests.belts import simulate, tuberline
 from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
+from tests.conveyor.test_conveyor_orphan import gone
 from tuberline.cli.config import check
 from tuberline.cli.run import run, summarise_late
 from tuberline.processes import usual_regressors
-from tests.conveyor.test_conveyor_orphan import gone
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
 
@@ -105,9 +105,6 @@ def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_le
     assert json.loads(before)["totals"] == json.loads((tmp_path / "run" / "summary.json").read_text())["totals"]
 
 
-def test_the_summary_of_a_run_that_was_final_long_ago_is_left_as_it_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 128 + signal.SIGTERM)])
 def test_a_line_that_is_stopped_while_it_starts_starts_no_more(tmp_path: Path, number: int, code: int) -> None:
     """It started all its nodes first, each with what that loads: on a busy machine it left after 8 to 17 s."""
@@ -121,6 +118,9 @@ def test_a_line_that_is_stopped_while_it_starts_starts_no_more(tmp_path: Path, n
     assert router is None or gone(router)
 
 
+def test_the_summary_of_a_run_that_was_final_long_ago_is_left_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Ctrl-C some seconds after a recording's end was told that the aggregator had been down."""
     line = load_config(line_file(tmp_path, tmp_path / "belt"))
     summary = tmp_path / "run" / "summary.json"
@@ -173,8 +173,9 @@ def test_what_keeps_a_line_from_its_work_is_warned_of_by_config_check(
     """`config check` called each of these fine, and `run` gave up, or waited for a router that nobody reaches."""
     (tmp_path / "file").touch()
     (tmp_path / "belt.csv").touch()
-    file = tmp_path / "line.toml"
+    file, camera = tmp_path / "line.toml", f'\n[cameras.b]\npath = "{tmp_path}"'
     for text, told in (
+        ("", "no camera is named: `tuberline run` and the aggregator refuse that; a router and regressors need none"),
         ('[link]\nrouter = "tls/edge:7447"', "link uses tls/edge:7447: set link.certs"),
         ('[link]\ncerts = "certs"', "link has certificates but link.router is tcp/127.0.0.1:7447, not encrypted"),
         ('[link]\nrouter = "tls/edge:7447"\ncerts = "certs"', f"link.certs: there is no folder {tmp_path}/certs on"),
@@ -191,12 +192,12 @@ def test_what_keeps_a_line_from_its_work_is_warned_of_by_config_check(
         ('[segmenter]\nstate_dir = "file"', f"segmenter.state_dir: {tmp_path}/file is a file on this computer"),
         ('[regressor]\nstate_dir = "file/a"', f"regressor.state_dir: {tmp_path}/file is a file on this computer"),
     ):
-        file.write_text(text)
+        file.write_text(text if "[cameras" in text or not text else text + camera)
         check(file)
         said = capsys.readouterr()
         assert said.err.startswith(f"warning: {told}"), text
         assert "is accepted, with 1 warning:" in said.out, said.err
-    file.write_text('[link]\nrouter = "tcp/edge:7447"\nlisten = ["tcp/0.0.0.0:7447#iface=eth0"]')
+    file.write_text('[link]\nrouter = "tcp/edge:7447"\nlisten = ["tcp/0.0.0.0:7447#iface=eth0"]' + camera)
     check(file)
     assert capsys.readouterr().err == ""
 
@@ -268,7 +269,6 @@ source = "file:{tmp_path}/gone.nmea"
     assert not {"regressor.weights", "segmenter.weights"} & set(capsys.readouterr().err.replace(":", "").split())
 
 
-def test_access_control_without_certificates_is_refused_before_it_starts(tmp_path: Path) -> None:
 def test_weights_that_are_none_are_found_before_a_line_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -293,6 +293,7 @@ def test_weights_that_are_none_are_found_before_a_line_starts(
                 run(file)
 
 
+def test_access_control_without_certificates_is_refused_before_it_starts(tmp_path: Path) -> None:
     """Its router ended, and the line after it."""
     file = line_file(tmp_path, tmp_path / "belt")
     file.write_text(file.read_text() + "[access]\nenabled = true\n")

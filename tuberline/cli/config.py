@@ -26,10 +26,10 @@ def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
     Warned of is what may lie on another computer of the line: recordings, weights, tickets, contracts and channels
-    of alarms that cannot be read here. So are cameras without a recording or topic, or not in their recording, live
-    cameras that hang at one place, an encoder that no camera hears, folders for the ledger and for state that cannot
-    be made, a link that contradicts itself, and a folder of certificates that is not here. The last line
-    says how many warnings there are; they do not change the exit code.
+    of alarms that cannot be read here. So are a line without a camera, cameras without a recording or topic, or not
+    in their recording, live cameras that hang at one place, an encoder that no camera hears, folders for the ledger
+    and for state that cannot be made, a link that contradicts itself, and a folder of certificates that is not
+    here. The last line says how many warnings there are; they do not change the exit code.
 
     Parameters
     ----------
@@ -53,6 +53,8 @@ def check(config: Path) -> None:
 
 
 def _warnings(line: LineConfig) -> Iterator[str]:
+    if not line.cameras:
+        yield "no camera is named: `tuberline run` and the aggregator refuse that; a router and regressors need none"
     for name, camera in sorted(line.cameras.items()):
         if camera.path is not None and not os.path.exists(
             camera.path
