@@ -15,10 +15,10 @@ from collections.abc import Callable
 
 import zenoh
 
-from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.endpoints import host_and_port, takes_connections
 from conveyor.errors import TakenError, TuberlineError
+from conveyor.lines import nodes_of_lines
 from conveyor.session import open_client
 
 ASK_S = 2.0
@@ -52,11 +52,11 @@ def who_routes(link: LinkConfig, endpoint: str) -> str:
     try:
         with open_client(there, name="router") as session:
             routers = [reply.ok for reply in session.get("@/*/router", timeout=ASK_S) if reply.ok is not None]
-            names = [str(r.ok.key_expr) for r in session.liveliness().get(f"{topics.ROOT}/*/alive/**") if r.ok]
+            lines = nodes_of_lines(session)
             host = json.loads(routers[0].payload.to_string())["metadata"]["host"] if routers else "an unknown host"
     except (TuberlineError, zenoh.ZError, ValueError, KeyError, TypeError):
         return "another program listens there"
-    nodes = sorted(name.removeprefix(f"{topics.ROOT}/").replace("/alive/", ": ", 1) for name in names)
+    nodes = sorted(f"{line}: {node}" for line, there in lines.items() for node in there)
     return f"a router on {host} listens there, with {', '.join(nodes) or 'no nodes'}"
 
 

@@ -283,7 +283,7 @@ ALIVE = Topic(
     "alive",
     "alive/<role>/<name>",
     ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder", "gnss", "encoder"),
-    ("segmenter", "aggregator", "viewer", "operator"),
+    ("segmenter", "regressor", "aggregator", "viewer", "operator"),
     Delivery.TOKEN,
     Priority.REAL_TIME,
     "",

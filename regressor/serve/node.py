@@ -23,6 +23,7 @@ from conveyor.threads import use_threads
 from regressor.network.fast import multiplies_bfloat16
 from regressor.serve.form import form_of, made_up_view
 from regressor.serve.service import WeightsService
+from regressor.serve.unseen import Lookout
 from regressor.weigh.prepare import REASONS
 from regressor.weigh.weigher import Weigher, weigh_view, weigh_views
 
@@ -78,6 +79,7 @@ class _Worker:
         node = self._node
         self._weigher = self._service.open()
         node.announce()
+        lookout = Lookout(node)
         form = self._weigher.form
         node.log.info(
             "ready with %s in %s, %s centroids, on %s",
@@ -95,6 +97,7 @@ class _Worker:
             node.progress()
             self._weigher = self._service.turn()
             views = self._take()
+            lookout.look(at_work=bool(views))
             node.counters.gauge("queue", len(self._inbox))
             if views:
                 begun = time.perf_counter()

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 from conveyor.errors import LinkError
+from conveyor.lines import seen_beside
 from conveyor.messages import Counters, Totals
 from conveyor.observer import Observer
 from tuberline.cli.address import NO_ADDRESS, LineAddress
@@ -31,7 +32,7 @@ def status(
     """
     from tuberline.cli.last_known import last_known, ledger_line, told_without_aggregator
     from tuberline.cli.live import AGGREGATOR, line_table
-    from tuberline.doctor.line import expected_nodes
+    from tuberline.doctor.line import check_name, expected_nodes
 
     link, name = address.link()
     expected = expected_nodes(address.loaded()) if address.config else set()
@@ -39,6 +40,7 @@ def status(
         with Observer(link, line=name) as observer:
             time.sleep(wait_s)
             totals, nodes, alive = observer.totals(), observer.nodes(), observer.alive()
+            lines = {} if json else seen_beside(observer.session, name, alive)
     except LinkError:
         if (known := last_known(address)) is not None:
             _tell(_report(name, None, known, {}, set(), expected) if json else ledger_line(known))
@@ -50,6 +52,8 @@ def status(
         return
     nothing = told_without_aggregator(known) if away else ""
     _tell(line_table(totals, nodes, alive=alive, expected=expected, nothing=nothing))
+    for finding in check_name(name, lines):
+        _tell(f"{finding.text}: {finding.fix}")
 
 
 def _report(

@@ -15,6 +15,7 @@ from conveyor import __version__
 from conveyor.config import LineConfig
 from conveyor.errors import InputError, TuberlineError
 from conveyor.files import told
+from conveyor.lines import seen_beside
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from tuberline.doctor.finding import Finding, fault, ok, warning
@@ -30,6 +31,7 @@ class Live:
 
     nodes: dict[str, Counters] = field(default_factory=dict)
     alive: set[str] = field(default_factory=set)
+    lines: dict[str, set[str]] = field(default_factory=dict)
     clocks_s: dict[str, float] = field(default_factory=dict)
     totals: dict[str, Any] | None = None
     weights: list[Finding] = field(default_factory=list)
@@ -45,10 +47,11 @@ def look(config: LineConfig, *, listen_s: float = LISTEN_S) -> Live:
         with Observer(link, line=config.name) as observer:
             clocks = ClockWatch(observer)
             time.sleep(listen_s)
-            totals = observer.totals()
+            totals, alive = observer.totals(), observer.alive()
             return Live(
                 nodes=observer.nodes(),
-                alive=observer.alive(),
+                alive=alive,
+                lines=seen_beside(observer.session, config.name, alive),
                 clocks_s=clocks.offsets_s(),
                 totals=asdict(totals) if totals else None,
                 weights=_running_weights(observer),
@@ -94,17 +97,20 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
     from tuberline.doctor.belt import check_running_belts
     from tuberline.doctor.depth import check_running_noise, trained_range
     from tuberline.doctor.encoder import check_encoder
-    from tuberline.doctor.line import check_clocks, check_nodes, check_versions
+    from tuberline.doctor.line import check_clocks, check_name, check_nodes, check_versions
 
+    named = check_name(config.name, live.lines)
     if not live.alive and not live.nodes:
         return [
             fault(
                 "nodes",
                 f"no process of line '{config.name}' is running",
                 "start it: `tuberline run` or its systemd target",
-            )
+            ),
+            *named,
         ]
     return [
+        *named,
         *check_nodes(config, live.nodes, alive=live.alive),
         *check_running_belts(config, live.nodes, alive=live.alive),
         *check_encoder(config, live.nodes, alive=live.alive),

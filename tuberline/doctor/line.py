@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from statistics import median
 from typing import Any
 
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.errors import MessageError
+from conveyor.lines import looked_for_elsewhere, strayed_regressors
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from tuberline.doctor.finding import Finding, fault, ok, warning
@@ -49,6 +50,18 @@ class ClockWatch:
     def offsets_s(self) -> dict[str, float]:
         """Clock of each node minus this machine's, seconds; the way here counts as being behind."""
         return {node: median(offsets) for node, offsets in list(self._offsets_s.items())}
+
+
+def check_name(line: str, lines: Mapping[str, Collection[str]]) -> list[Finding]:
+    """A config of this line names another one than its other hosts' do; `lines` as `nodes_of_lines` gives them."""
+    found = []
+    if elsewhere := looked_for_elsewhere(line, lines):
+        fix = "correct `name` in this config, or --line, where that line is meant; else start this one's segmenters"
+        found.append(fault("line's name", elsewhere, fix))
+    if strayed := strayed_regressors(line, lines):
+        fix = f"correct `name` in the config of their host, where line '{line}' is meant"
+        found.append(warning("line's name", strayed, fix))
+    return found
 
 
 def check_nodes(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set[str]) -> list[Finding]:
