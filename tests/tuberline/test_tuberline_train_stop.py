@@ -91,7 +91,10 @@ def test_a_second_ctrl_c_stops_at_once_what_does_not_come_to_its_stop() -> None:
     """Else a training that validates for minutes could only be killed."""
     process = subprocess.Popen([sys.executable, "-c", BUSY], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    for said in ("busy", "asked"):
-        assert process.stdout.readline().strip() == said
-        process.send_signal(signal.SIGINT)
-    assert _words(_stopped(process)) == "stopped"
+    try:
+        for said in ("busy", "asked"):
+            assert process.stdout.readline().strip() == said
+            process.send_signal(signal.SIGINT)
+        assert _words(_stopped(process)) == "stopped"
+    finally:
+        process.kill()  # it would be busy for hours
