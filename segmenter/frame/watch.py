@@ -79,10 +79,13 @@ class BeltWatch:
 
     @property
     def backwards(self) -> bool:
-        """The belt moves against its x: by the travel itself, or, where an encoder tells that, by the tubers."""
+        """The belt moves against its x: by the travel itself, or, where an encoder tells that, by the tubers. Travel
+        that is estimated along x may be anything where they move aside of it.
+        """
         votes = self._forwards + self._backwards
         by_tubers = votes >= LEAST_VOTES and self._backwards >= BACKWARDS_SHARE * votes
-        return by_tubers or self._moved_m < BACKWARDS_M or self._motion.backwards
+        by_travel = self._moved_m < BACKWARDS_M and not self._motion.turned
+        return by_tubers or by_travel or self._motion.backwards
 
     def _middle(self) -> BeltCheck:
         drifts = [check.drift_m for check in self._checks if check.drift_m is not None]

@@ -142,6 +142,21 @@ def test_a_camera_that_is_turned_against_its_pose_is_said(encoder: bool, turned_
     assert f"the load moves {levels['belt_turned_deg']:+.1f} degrees aside" in text
 
 
+def test_a_camera_that_is_turned_by_a_quarter_unsaid_is_no_belt_that_runs_the_other_way() -> None:
+    """Tubers in even rows let the travel be anything, -13 m of 1.5; `turned_deg = 180` was said to put it right, with
+    which nothing was counted either.
+    """
+    true = Scene(scattered(30, seed=3), SMALL, CameraPlace(turned_deg=90.0).straight_down(0.46), noise_m=0.001)
+    core, watch = Segmenter(Settings()), BeltWatch()
+    for i in range(40):
+        frame = true.frame(i, i * STEP_M, encoder=False)
+        core.step(replace(frame, belt_from_camera=straight_down_belt_from_camera(0.46)))
+        watch.step(core.belt_check, core.instances, travel_m=-0.09 * i, told=False)
+    levels = watch.gauges()
+    assert belt_findings("front", levels).keys() == {"belt_turned"}
+    assert levels["belt_turned_deg"] == pytest.approx(-90.0, abs=0.7)
+
+
 @pytest.mark.parametrize("turned_deg", [0.0, 3.5, -3.5])
 def test_a_camera_that_is_turned_as_hands_turn_it_counts_and_is_no_finding(turned_deg: float) -> None:
     said = CameraPlace(turned_deg=turned_deg).straight_down(0.46)
