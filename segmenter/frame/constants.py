@@ -13,8 +13,6 @@ from conveyor.belt_findings import LEANS_DEG, OFF_MM
 # Frames that cannot be used (`gate`)
 LEAST_SEEN_OF_FRAME = 0.1
 """Share of the image with depth; a covered lens has next to none. Higher drops frames that could still be used."""
-GATE_STRIDE = 4
-"""Pixels between the samples of that share."""
 FROZEN_M = 0.001
 """Metres of travel. A shorter way need not change a single pixel; longer notices a frozen camera later."""
 SAME_POSE = 0.02

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from conveyor.messages import Frame
 from conveyor.reasons import FrameDrop
-from segmenter.frame.constants import FROZEN_M, GATE_STRIDE, LEAST_SEEN_OF_FRAME, SAME_POSE
+from segmenter.frame.constants import FROZEN_M, LEAST_SEEN_OF_FRAME, SAME_POSE
 
 
 class FrameGate:
@@ -71,5 +71,4 @@ def _same(depth: NDArray[np.uint16], last: NDArray[np.uint16]) -> bool:
 
 
 def _is_blind(frame: Frame) -> bool:
-    sample = frame.depth[::GATE_STRIDE, ::GATE_STRIDE]
-    return bool(np.count_nonzero(sample) < LEAST_SEEN_OF_FRAME * frame.depth.size / GATE_STRIDE**2)
+    return bool(np.count_nonzero(frame.depth) < LEAST_SEEN_OF_FRAME * frame.depth.size)

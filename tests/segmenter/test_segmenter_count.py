@@ -168,6 +168,19 @@ def test_a_frozen_camera_is_noticed_by_the_encoder() -> None:
     assert core.step(Scene([]).frame(3, 0.02)).dropped is None
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_camera_that_leaves_out_every_other_row_is_not_blind(first: int) -> None:
+    """One that left out the even rows was taken for covered: no frame of it was processed."""
+    bodies = scattered(15, seed=1)
+    scene = Scene(bodies, noise_m=0.001)
+    frames = [scene.frame(i, i * STEP_M) for i in range(70)]
+    for frame in frames:
+        frame.depth[first::2] = 0
+    core, closed = run(frames)
+    assert_each_once(closed, bodies, within_m=0.004)
+    assert belt_findings("front", core.gauges()) == {}
+
+
 def test_a_merged_pair_counts_as_two_and_a_late_fragment_as_none() -> None:
     pair = [Body(-0.30, -0.030, 0.035, 0.030, 0.027), Body(-0.30, 0.032, 0.035, 0.030, 0.027)]
     scene = Scene(pair)
