@@ -19,8 +19,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
             belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_coarse_m, encoder_behind_m,
-            load_torn_m, masks_merged, like_clods, outline_grown_px, farther_than_travel, scaled_by_travel,
-            travel_not_told, and those of its gauge.
+            load_torn_m, masks_merged, without_depth, like_clods, outline_grown_px, farther_than_travel,
+            scaled_by_travel, travel_not_told, and those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -66,19 +66,7 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "much belt counts as not seen. Look at the pictures (`tuberline watch`); an encoder tells travel without "
             "them"
         )
-    if merged := gauges.get("masks_merged"):
-        found["masks_merged"] = (
-            f"camera '{camera}': in {merged:.0f} frames a label of the given masks lies in several places apart, so "
-            "tubers are taken for one, or do not count. Give each tuber a label of its own (1, 2, 3, ..., not 255 to "
-            "all), or have them found on depth (`replay --ignore-masks`, or ignore_masks in a line's file)"
-        )
-    if like := gauges.get("like_clods"):
-        found["like_clods"] = (
-            f"camera '{camera}': {100 * like:.0f} % of the last bodies look like clods, more than the classifier can "
-            "be right about: from here on all are counted as tubers, and what was refused before may have been tubers. "
-            "Look at what was found (`tuberline segment RECORDING --picture found.png`): where it is tubers, set "
-            'method = "classical" in [segmenter], which refuses nothing; where it is clods, do not trust this count'
-        )
+    found |= _picture(camera, gauges)
     found |= _seen_twice(camera, gauges)
     if gauges.get("gauge_unseen"):
         found["gauge_unseen"] = (
@@ -122,6 +110,31 @@ def awaits_travel(gauges: Mapping[str, float]) -> bool:
     """
     by_travel = "scaled_by_travel" in gauges and not gauges.get("travel_not_told")
     return by_travel and "farther_than_travel" not in gauges
+
+
+def _picture(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
+    """What the pictures say, and what is made of them: masks that merge tubers, no depth, clods beyond belief."""
+    found = {}
+    if merged := gauges.get("masks_merged"):
+        found["masks_merged"] = (
+            f"camera '{camera}': in {merged:.0f} frames a label of the given masks lies in several places apart, so "
+            "tubers are taken for one, or do not count. Give each tuber a label of its own (1, 2, 3, ..., not 255 to "
+            "all), or have them found on depth (`replay --ignore-masks`, or ignore_masks in a line's file)"
+        )
+    if share := gauges.get("without_depth"):
+        found["without_depth"] = (
+            f"camera '{camera}': {100 * share:.0f} % of its picture shows no depth. Tubers there are missing, cut or "
+            "read light, and their belt counts as looked at all the same. Clean the front glass, and look at the "
+            "light; where no belt is there, turn the camera to it"
+        )
+    if like := gauges.get("like_clods"):
+        found["like_clods"] = (
+            f"camera '{camera}': {100 * like:.0f} % of the last bodies look like clods, more than the classifier can "
+            "be right about: from here on all are counted as tubers, and what was refused before may have been tubers. "
+            "Look at what was found (`tuberline segment RECORDING --picture found.png`): where it is tubers, set "
+            'method = "classical" in [segmenter], which refuses nothing; where it is clods, do not trust this count'
+        )
+    return found
 
 
 def _seen_twice(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:

@@ -13,6 +13,7 @@ from segmenter.belt_segmenter import BeltSegmenter, Found, Settings, row_place_m
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.belt_keeper import BeltKeeper
 from segmenter.frame.belt_off import BeltOff
+from segmenter.frame.depth_watch import DepthWatch
 from segmenter.frame.gate import FrameGate
 from segmenter.frame.instances import Instances
 from segmenter.frame.plane import BeltCheck
@@ -46,6 +47,7 @@ class Segmenter:
         self._gate = FrameGate()
         self.gauge = GaugeKeeper(settings.gauge)
         self._off = BeltOff()
+        self._depth = DepthWatch()
         self._belts = BeltKeeper(
             settings.belt_follow_m,
             given_sd_m=settings.belt_sd_m,
@@ -87,6 +89,7 @@ class Segmenter:
         self._running.flags = (*self.gauge.flags(), *off)
         result = self._running.step(seen, belt)
         self._gate.processed(frame, instances=result.instances)
+        self._depth.step(frame)
         self._not_told = 0 if self.told else self._not_told + 1
         return result
 
@@ -156,6 +159,7 @@ class Segmenter:
             "encoder_behind_m": self.encoder_behind_m,
             "load_torn_m": self.torn_m,
             "masks_merged": self.merged_masks,
+            "without_depth": self._depth.without_depth,
             "like_clods": self._perception.like_clods,
         }
 

@@ -117,9 +117,11 @@ def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, fl
 def test_outlines_that_grow_and_distances_that_contradict_the_travel_are_told() -> None:
     config = parse_config({"cameras": {"left": {}}}, where="test")
     gauges = {"belt_drift_mm": 0.1, "outline_grown_px": 3.2, "farther_than_travel": -0.024, "outline_lost_px": -3.2}
+    gauges["without_depth"] = 0.48
     nodes = {"segmenter/left": Counters("segmenter", "left", "r", 1, "h", "1", 9.0, {}, gauges)}
-    grown, farther, belt = check_running_belts(config, nodes, alive=set(nodes))
-    assert (grown.level, farther.level, belt.level) == (Level.WARNING, Level.WARNING, Level.OK)
+    dark, grown, farther, belt = check_running_belts(config, nodes, alive=set(nodes))
+    assert (dark.level, grown.level, farther.level, belt.level) == (*3 * (Level.WARNING,), Level.OK)
+    assert "48 % of its picture shows no depth" in dark.text
     assert "outlines are 3.2 px larger" in grown.text
     assert "it puts tubers 2.4 % nearer" in farther.text
 

@@ -21,6 +21,7 @@ from viewer.page.alarms import alarms
         ({"load_torn_m": 0.37}, "Under camera left the load jumped back 0.37 m, as no belt does"),
         ({"encoder_coarse_m": 0.05}, "Camera left is told the belt's travel in steps of 50 mm"),
         ({"masks_merged": 3.0}, "The masks of camera left give several tubers one label"),
+        ({"without_depth": 0.48}, "Camera left shows no depth in 48 % of its picture"),
         ({"like_clods": 0.85}, "Under camera left 85 % of the bodies look like clods, too many to believe"),
     ],
 )
@@ -34,6 +35,7 @@ def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, 
     ("gauges", "said"),
     [
         ({"encoder_coarse_m": 0.034}, "in steps of 34 mm: from 40 mm on tubers count twice."),
+        ({"without_depth": 0.28}, "Camera left shows no depth in 28 % of its picture"),
         ({"outline_grown_px": 3.24}, "Camera left draws tubers 3.2 px larger all round than they are."),
         ({"farther_than_travel": 0.024}, "Camera left puts tubers 2.4 % farther away than the belt's travel says"),
         ({"farther_than_travel": -0.024}, "Camera left puts tubers 2.4 % nearer than the belt's travel says"),

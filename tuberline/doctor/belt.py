@@ -29,8 +29,10 @@ SEEN_TWICE = {
     "outline_grown_px": "a smaller matching window in the camera's settings",
     "farther_than_travel": "`tuberline calibrate bucket`, and the encoder over a few metres of belt",
     "travel_not_told": 'connect the encoder ([encoder]), or gauge = "none" in [belt]',
+    "without_depth": "clean the front glass, and look at the light (`tuberline watch` shows the picture)",
 }
-"""Levels of what the same tubers in several frames say of a camera, or cannot say, and what to do."""
+"""Levels of what the same tubers in several frames say of a camera, or cannot say, or its picture says, and what to
+do."""
 SCALED = "calibrate the camera's depth when the line next stops; measure the encoder's metres a pulse with a tape"
 DRIFTED = "if its depth has drifted, the belt's travel tells so while the line runs and corrects it: leave it as it is"
 UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'

@@ -19,6 +19,8 @@ DEAD_S = 1.8
 """A camera that waits for no one and sends nothing for so long; the slowest ones send several frames a second."""
 COUNTS_TWICE_M = 0.04
 """Steps of travel from which on tubers count twice."""
+DARK_SHARE = 0.4
+"""Of the picture without depth from which on as much of the load is missing, whatever the mount."""
 BRIEF_S = 2.0
 """Drops that last no longer than this are a hiccup: they stand in the table, not among the alarms."""
 
@@ -90,6 +92,9 @@ def _tubers(segmenter: NodeState) -> Iterator[Found]:
     """What its tubers say of the camera: masks that merge them, outlines and distances that are off."""
     if segmenter.level("masks_merged"):
         yield "masks-merged", True, "alarm.camera.masks_merged", "todo.camera.masks_merged", {}
+    if share := segmenter.level("without_depth"):
+        say, todo = "alarm.camera.without_depth", "todo.camera.without_depth"
+        yield "without-depth", share >= DARK_SHARE, say, todo, {"percent": 100 * share}
     if like := segmenter.level("like_clods"):
         yield "like-clods", True, "alarm.camera.like_clods", "todo.camera.like_clods", {"percent": 100 * like}
     if grown_px := segmenter.level("outline_grown_px"):
