@@ -17,8 +17,9 @@ from conveyor.messages import CamerasApart, Tuber
 
 NEWEST = 160
 """Tracks of each camera that are looked at. More make it more certain, and slower to show that a camera was moved."""
-ALONG_M, ACROSS_M = 0.3, 2.0
-"""How far cameras may disagree: what hangs beside another one may be taken to hang at its place."""
+ALONG_M, ACROSS_M = 2.0, 2.0
+"""How far cameras may disagree: what hangs beside another one may be taken to hang at its place, and of two clocks that
+differ each second is 0.3 m and more along the belt."""
 GATE_SHARE = 0.5
 """Of the gate within which two tracks are one tuber: places scatter, and beyond it the first ones are missed."""
 SURE = 3.0

@@ -51,7 +51,7 @@ def test_cameras_that_agree_are_told_so(tmp_path: Path, seed: int) -> None:
     assert apart_in_words((apart,)) == ""
 
 
-@pytest.mark.parametrize(("along_mm", "across_mm"), [(0, 45), (-60, 0), (25, 300), (-20, -594)])
+@pytest.mark.parametrize(("along_mm", "across_mm"), [(0, 45), (-60, 0), (25, 300), (-20, -594), (600, 0), (-1800, 20)])
 def test_a_camera_that_hangs_elsewhere_counts_twice_and_that_is_told(
     tmp_path: Path, along_mm: float, across_mm: float
 ) -> None:
