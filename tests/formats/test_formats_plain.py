@@ -75,6 +75,7 @@ def test_frames_of_every_kind_come_back_pixel_by_pixel(ending: str, tmp_path: Pa
     assert [frame.seq for frame in frames] == list(range(11))
     assert all(np.array_equal(frame.depth, millimetres(n)) for n, frame in enumerate(frames))
     assert frames[1].captured_ns - frames[0].captured_ns == round(1e9 / 15)
+    assert frames[0].captured_ns > 0, "a line takes 0 for no time: the belt under such a frame counted as not seen"
     assert (frames[0].intrinsics.fx, frames[0].intrinsics.cy, frames[0].intrinsics.width) == (600.0, 30.25, 80)
     assert (frames[0].depth_scale_m, frames[0].belt_distance_m) == (0.001, 0.46)
 

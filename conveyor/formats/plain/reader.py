@@ -23,7 +23,8 @@ class PlainFrames:
     """Depth frames of one camera, from files in the order of the numbers in their names.
 
     Where the last numbers in the names rise without many gaps they number the frames, so that a missing file is a
-    gap; else the frames are counted. The first frame is number 0 at time 0, the others follow at `fps`.
+    gap; else the frames are counted. The first frame is number 0, the others follow at `fps`; none has time 0, which
+    to a line is no time.
 
     Attributes:
         missing: how many numbers there are between the first and the last file that no file has.
@@ -120,7 +121,7 @@ class PlainFrames:
         )
 
     def _time_ns(self, seq: int) -> int:
-        return round(seq * 1e9 / self._description.fps)
+        return round(1e9 / self._description.fps) + round(seq * 1e9 / self._description.fps)
 
 
 def _numbers(files: list[Path]) -> list[int] | None:
