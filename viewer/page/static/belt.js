@@ -71,6 +71,12 @@ function listen() {
   events.onerror = () => { if (events?.readyState === EventSource.CLOSED) setTimeout(settle, 3000); };
 }
 
+// On a connection of its own, where the one before is dead and nobody says so.
+export function lookAgain() {
+  asked = "";
+  listen();
+}
+
 // A device that is slow to draw skips pictures: of those that come meanwhile the newest is next.
 async function take(picture) {
   const view = shown.get(`${picture.line}/${picture.camera}`);

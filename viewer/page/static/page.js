@@ -1,27 +1,41 @@
 // Takes the snapshots as they come and says at every moment how old they are. It asks for nothing else.
-import { drawAgain } from "./belt.js";
+import { drawAgain, lookAgain } from "./belt.js";
 import { LineCard } from "./card.js";
 import { openMenu } from "./menu.js";
 import { ago, t } from "./words.js";
 
 const LOST_S = 4; // the server sends at least every 2 s
 const RETRY_MS = 2000;
+const SILENT_S = 12; // after a hole in the radio a browser may wait for minutes on a connection that is dead
 const lines = document.getElementById("lines");
 const contact = document.getElementById("contact");
 const spoken = document.getElementById("spoken");
 const cards = new Map();
-let heardAt = null; // performance.now() of the last snapshot
+let events = null;
+let askedAt = 0; // performance.now() when the stream was asked for
+let heardAt = null; // when the last snapshot came: {ms: performance.now(), clockMs: Date.now()}
+let shownAt = -Infinity; // when this tab came to the front
 let saidBefore = "";
 
+// A tab in the background asks for nothing: a browser has six connections for all its tabs.
 function listen() {
-  const events = new EventSource("events");
-  events.onmessage = (event) => {
-    heardAt = performance.now();
+  events?.close();
+  events = document.hidden ? null : new EventSource("events");
+  askedAt = performance.now();
+  if (!events) return;
+  const mine = events;
+  mine.onmessage = (event) => {
+    heardAt = { ms: performance.now(), clockMs: Date.now() };
     show(JSON.parse(event.data));
   };
-  events.onerror = () => {
-    if (events.readyState === EventSource.CLOSED) setTimeout(listen, RETRY_MS);
+  mine.onerror = () => {
+    if (mine.readyState === EventSource.CLOSED) setTimeout(() => mine === events && listen(), RETRY_MS);
   };
+}
+
+// A device that sleeps does not count the seconds, but its clock goes on.
+function sinceHeardS() {
+  return heardAt && Math.max(performance.now() - heardAt.ms, Date.now() - heardAt.clockMs) / 1000;
 }
 
 function show(snapshot) {
@@ -44,16 +58,23 @@ function show(snapshot) {
 }
 
 function tick() {
-  const sinceS = heardAt === null ? null : (performance.now() - heardAt) / 1000;
+  if (document.hidden) return;
+  const sinceS = sinceHeardS();
+  const askedS = (performance.now() - askedAt) / 1000;
   const lost = sinceS !== null && sinceS > LOST_S;
+  if (askedS > SILENT_S && (sinceS === null || sinceS > SILENT_S)) {
+    listen();
+    lookAgain();
+  }
   for (const card of cards.values()) card.age(sinceS, lost);
   const gone = [...cards].filter(([, card]) => card.gone).map(([line]) => line);
-  const state = sinceS === null ? "wait" : lost || gone.length ? "trouble" : "good";
+  const back = lost && performance.now() - shownAt < 1000 * LOST_S; // nothing can have come yet
+  const state = sinceS === null || back ? "wait" : lost || gone.length ? "trouble" : "good";
   contact.dataset.state = state;
-  const text = lost ? t("contact.lost", { for: sinceS }) : gone.length ? t("contact.gone", { lines: gone.join(", ") }) : t(`contact.${state}`);
+  const text = back ? t("contact.wait") : lost ? t("contact.lost", { for: sinceS }) : gone.length ? t("contact.gone", { lines: gone.join(", ") }) : t(`contact.${state}`);
   contact.querySelector(".text").textContent = text;
   document.body.dataset.contact = lost ? "lost" : "live";
-  say(lost);
+  say(lost && !back);
 }
 
 // For screen readers: alarms once when they come, not every second with a new duration.
@@ -70,4 +91,8 @@ openMenu(() => {
   tick();
 });
 listen();
+document.addEventListener("visibilitychange", () => {
+  if (!document.hidden) shownAt = performance.now();
+  listen();
+});
 setInterval(tick, 500);
