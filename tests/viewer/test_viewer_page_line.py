@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +27,7 @@ from conveyor.taken_port import free_port
 from tests.conftest import wait_until
 from tests.viewer.viewer_line import camera_info, potatoes, totals
 from tuberline.cli.commands import build_app
+from viewer.page.alarms import alarms
 from viewer.page.maps import FieldMaps
 from viewer.page.state import LineState
 from viewer.page.watch import LineWatch
@@ -144,6 +145,47 @@ def test_another_run_has_a_way_of_its_own(link: LinkConfig) -> None:
         assert found["number"] > before, "browsers fetch it"
         wait_until(lambda: way("tuesday", 52.3) == [52.2, 52.3], what="its way", timeout_s=PATIENCE_S)
     watch.stop()
+
+
+@pytest.mark.graph
+def test_another_run_is_not_told_what_is_left_of_the_run_before(link: LinkConfig) -> None:
+    """Each start was trouble: its segmenter had stopped 27 s ago, no regressor was running, no frames had come for 7
+    minutes; its camera had ended, and the last change could be undone."""
+    config, looks = LineConfig(name="north", link=link), list[LineState]()
+    watch = LineWatch(link, line="north", tell=looks.append)
+    watch.start()
+    others = ("camera", "front"), ("segmenter", "front"), ("regressor", "r1")
+
+    def shown(look: LineState, run: str) -> bool:
+        return look.totals is not None and look.totals.run == run
+
+    with ExitStack() as monday:
+        node = monday.enter_context(Node("aggregator", "aggregator", config=config, run="monday"))
+        nodes = [monday.enter_context(Node(*who, config=config, run="monday")) for who in others]
+        kept, infos = KeptPublisher(node, topics.TOTALS), KeptPublisher(nodes[0], topics.CAMERA_INFO, camera="front")
+
+        def heard() -> bool:
+            for each in (node, *nodes):
+                each.progress()
+            kept.put(totals(potatoes(4, seed=3), run="monday"))
+            infos.put(replace(camera_info(run="monday"), state="ended"))
+            return bool(looks) and shown(looks[-1], "monday") and len(looks[-1].nodes) == 4 and bool(looks[-1].cameras)
+
+        wait_until(heard, what="the first run", timeout_s=PATIENCE_S)
+    wait_until(lambda: "camera/front" in looks[-1].nodes and looks[-1].nodes["camera/front"].left, what="its end")
+    with Node("aggregator", "aggregator", config=config, run="tuesday") as node:
+        kept = KeptPublisher(node, topics.TOTALS)
+
+        def begun() -> bool:
+            node.progress()
+            kept.put(totals([], run="tuesday"))
+            return len([look for look in looks if shown(look, "tuesday")]) > 3
+
+        wait_until(begun, what="the second run", timeout_s=PATIENCE_S)
+    watch.stop()
+    for look in (look for look in looks if shown(look, "tuesday") and look.in_contact):
+        assert [alarm.text for alarm in alarms(look) if alarm.level == "trouble"] == []
+        assert (set(look.nodes), look.cameras, look.changed_s) == ({"aggregator/aggregator"}, {}, None)
 
 
 @pytest.mark.graph

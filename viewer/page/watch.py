@@ -85,6 +85,8 @@ class LineWatch:
         self._loads: tuple[PastLoad, ...] = ()
         self._told: tuple[ToldLoad, ...] = ()
         self._changed_s: float | None = None
+        self._former_run = ""
+        self._former: dict[str, Counters] = {}
         self._asked_s: float | None = None
         self._turned_s = time.monotonic()
         self._thread = threading.Thread(target=self._watch, name=f"watch-{line}", daemon=True)
@@ -151,7 +153,7 @@ class LineWatch:
             before, signs = signs, (observer.alive(), self._silent(now_s))
             if now_s - told_s >= TELL_EVERY_S or signs != before:  # who died is told at once
                 told_s = now_s
-                self._tell(self._state_of(_by_camera(infos.latest()), now_s))
+                self._tell(self._state_of(self._by_camera(infos.latest()), now_s))
             if self._asked_s is None or now_s - self._asked_s >= LOADS_EVERY_S:
                 self._ask_loads(observer, now_s)
 
@@ -160,16 +162,17 @@ class LineWatch:
         totals = observer.totals()
         if totals is not None and totals is not self._totals:
             if self._totals is not None and open_load(totals) != open_load(self._totals):
-                self._changed_s = now_s
                 self.ask_soon()
+                another = totals.run != self._totals.run
+                self._changed_s = None if another and totals.load is None else now_s  # a run is nothing to undo
             elif self._totals is not None and totals.calibrated_by != self._totals.calibrated_by:
                 self.ask_soon()  # a ticket came: the loads weigh something else
             if self._totals is not None and totals.run != self._totals.run:
-                self._maps.begin(self.line)
+                self._begin(observer, self._totals.run)
             self._totals, self._totals_s = totals, now_s
             self._load.add(totals, now_s)
         alive = observer.alive()
-        reports = observer.nodes()
+        reports = {name: told for name, told in observer.nodes().items() if told is not self._former.get(name)}
         kept = remembered(
             {name: memory.heard_s for name, memory in self._nodes.items()},
             told={*reports, *alive},
@@ -190,6 +193,14 @@ class LineWatch:
                 memory.report, memory.heard_s = report, now_s
                 memory.growth.add(report, now_s)
 
+    def _begin(self, observer: Observer, former: str) -> None:
+        """Another run: its processes come one by one, and what is left of the run before says nothing of it."""
+        self._maps.begin(self.line)
+        self._former_run = former
+        self._former = {name: told for name, told in observer.nodes().items() if told.run == former}
+        for name in self._former:
+            self._nodes.pop(name, None)
+
     def _silent(self, now_s: float) -> set[str]:
         """Who has not told where the belt is for as long as a camera that is dead."""
         return {source for source, since_s in self._belt.since_s(now_s).items() if since_s > DEAD_S}
@@ -206,6 +217,11 @@ class LineWatch:
             self._told = tuple(ToldLoad.of(load) for load in told)
         except (LinkError, TypeError, KeyError, AttributeError) as error:
             self._log.debug("the ledger's loads: %s", error)
+
+    def _by_camera(self, infos: Mapping[str, CameraInfo]) -> dict[str, CameraInfo]:
+        """What cameras say of themselves; not what one says in another's name, nor how one ended in the run before."""
+        own = {i.camera: i for key, i in infos.items() if topics.CAMERA_INFO.parts(key)["camera"] == i.camera}
+        return {name: info for name, info in own.items() if info.run != self._former_run}
 
     def _state_of(self, cameras: dict[str, CameraInfo], now_s: float, *, no_router: str = "") -> LineState:
         heard = [memory.heard_s for memory in self._nodes.values() if memory.report is not None]
@@ -233,11 +249,6 @@ class LineWatch:
 def open_load(totals: Totals) -> tuple[str, int | None]:
     """Run and number of the load that is open."""
     return totals.run, None if totals.load is None else totals.load.number
-
-
-def _by_camera(infos: Mapping[str, CameraInfo]) -> dict[str, CameraInfo]:
-    """What cameras say of themselves; not what one says in another's name."""
-    return {i.camera: i for key, i in infos.items() if topics.CAMERA_INFO.parts(key)["camera"] == i.camera}
 
 
 def remembered(
