@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,9 +30,12 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 
 class Radio:
-    """A link to a port of this machine. After `hole` the connections of before carry nothing and are not closed."""
+    """A link to a port of this machine, on which all takes `late_s`. After `hole` the connections of before carry
+    nothing and are not closed.
+    """
 
     def __init__(self, to_port: int) -> None:
+        self.late_s = 0.0
         self._to_port = to_port
         self._alive = asyncio.Event()
 
@@ -43,11 +47,24 @@ class Radio:
         await asyncio.gather(self._pipe(reader, there, alive), self._pipe(back, writer, alive))
 
     async def _pipe(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, alive: asyncio.Event) -> None:
+        pieces: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()
+        writing = asyncio.create_task(self._write(pieces, writer, alive))
         while data := await reader.read(65536):
+            pieces.put_nowait((time.monotonic() + self.late_s, data))
+        pieces.put_nowait((0.0, b""))
+        await writing
+
+    async def _write(
+        self, pieces: asyncio.Queue[tuple[float, bytes]], writer: asyncio.StreamWriter, alive: asyncio.Event
+    ) -> None:
+        while True:
+            due_s, data = await pieces.get()
+            await asyncio.sleep(due_s - time.monotonic())
             await alive.wait()
+            if not data:
+                writer.close()
+                return
             writer.write(data)
-        await alive.wait()
-        writer.close()
 
     def hole(self) -> None:
         """From now on only new connections carry anything."""
@@ -94,6 +111,22 @@ def test_a_connection_that_is_dead_and_not_closed_is_left_for_a_new_one(browser:
 
         until(lambda: "No contact: last heard" in text(browser), what="the page says that it has no contact")
         until(found_back, what="the page finds back", within_s=FIND_BACK_S)
+
+
+def test_figures_that_waited_on_a_slow_link_are_old_when_they_come(browser: Browser) -> None:
+    """Over 64 kbit/s they came 18 s late, one each second, and the page said that it was connected."""
+    board = Board(["north"])
+    with PageServer(board, host="127.0.0.1", port=0) as page, radio(page.port) as (link, _, port):
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{port}/")
+        until_told(browser, board, snapshot(good_state()), "Page connected", "11 590")
+        link.late_s = 6.0
+        waited = snapshot(replace(good_state(), totals=totals(count=11600)))
+
+        def old() -> bool:
+            board.put(waited)
+            return "11 600" in text(browser) and "last heard" in text(browser)
+
+        until(old, what="figures that are told as old", within_s=20)
 
 
 def test_a_tab_in_the_background_holds_no_connection(browser: Browser, tmp_path: Path) -> None:

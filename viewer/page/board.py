@@ -1,6 +1,7 @@
 """The newest snapshot of every line as one text, for any number of readers. Newest wins: a slow reader skips.
 
-Each carries `told_s`, how long ago it was put here: a watcher that hangs cannot pass old figures off as new ones.
+Each carries `told_s`, how long ago it was put here: a watcher that hangs cannot pass old figures off as new ones. The
+text says when it was made, `sent_s` by this machine's monotonic clock: what waits on a slow link is no newer either.
 """
 
 from __future__ import annotations
@@ -37,4 +38,5 @@ class Board:
             {**found[1], "told_s": round(now_s - found[0], 1)} if found else {"line": name, "state": "starting"}
             for name, found in snapshots.items()
         ]
-        return number, json.dumps({"lines": lines}, separators=(",", ":"), allow_nan=False)
+        told = {"lines": lines, "sent_s": round(now_s, 2)}
+        return number, json.dumps(told, separators=(",", ":"), allow_nan=False)

@@ -65,13 +65,15 @@ class Pictures:
     def newest(self, camera: Camera, *, after: int = 0) -> tuple[int, bytes]:
         """(number, event); the number rises with each picture, and is 0 before the first one. No event up to `after`.
 
-        The event says how old the picture is: a browser that comes later gets one that is long past.
+        The event says how old the picture is, for a browser that comes later gets one that is long past, and when it
+        is sent (`sent_s`, monotonic), for it may wait on the link.
         """
         with self._lock:
             number, came_s, told = self._newest.get(camera, (0, 0.0, ""))
         if number <= after:
             return number, b""
-        return number, f'data: {{"age_s":{time.monotonic() - came_s:.1f},{told}\n\n'.encode()
+        now_s = time.monotonic()
+        return number, f'data: {{"age_s":{now_s - came_s:.1f},"sent_s":{now_s:.2f},{told}\n\n'.encode()
 
 
 def camera_of(asked: str) -> Camera:

@@ -1,7 +1,9 @@
 // The belt as the cameras see it: pictures of those on the screen, and of no others, with outlines and weights.
+import { Late } from "./late.js";
 import { known, ofTuber, t } from "./words.js";
 
 const STALE_MS = 2500;
+const LATE_S = 6; // pictures that wait so long on a slow link are left there for a new one
 const REST_MS = 60;
 const SETTLE_MS = 250; // while a person scrolls nothing is asked for
 const FONT_PX = 13;
@@ -67,7 +69,14 @@ function listen() {
   events?.close();
   events = query ? new EventSource(`pictures?${query}`) : null;
   if (!events) return;
-  events.onmessage = (event) => take(JSON.parse(event.data));
+  let late = new Late();
+  events.onopen = () => { late = new Late(); };
+  events.onmessage = (event) => {
+    const picture = JSON.parse(event.data);
+    const lateS = late.of(picture.sent_s);
+    take({ ...picture, age_s: picture.age_s + lateS });
+    if (lateS > LATE_S) lookAgain();
+  };
   events.onerror = () => { if (events?.readyState === EventSource.CLOSED) setTimeout(settle, 3000); };
 }
 

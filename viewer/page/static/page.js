@@ -1,6 +1,7 @@
 // Takes the snapshots as they come and says at every moment how old they are. It asks for nothing else.
 import { drawAgain, lookAgain } from "./belt.js";
 import { LineCard } from "./card.js";
+import { Late } from "./late.js";
 import { openMenu } from "./menu.js";
 import { ago, t } from "./words.js";
 
@@ -13,7 +14,7 @@ const spoken = document.getElementById("spoken");
 const cards = new Map();
 let events = null;
 let askedAt = 0; // performance.now() when the stream was asked for
-let heardAt = null; // when the last snapshot came: {ms: performance.now(), clockMs: Date.now()}
+let heardAt = null; // when the last snapshot was sent: {ms: performance.now(), clockMs: Date.now()}
 let shownAt = -Infinity; // when this tab came to the front
 let saidBefore = "";
 
@@ -24,9 +25,13 @@ function listen() {
   askedAt = performance.now();
   if (!events) return;
   const mine = events;
+  let late = new Late();
+  mine.onopen = () => { late = new Late(); }; // again, perhaps to a server that was started again
   mine.onmessage = (event) => {
-    heardAt = { ms: performance.now(), clockMs: Date.now() };
-    show(JSON.parse(event.data));
+    const found = JSON.parse(event.data);
+    const lateMs = 1000 * late.of(found.sent_s);
+    heardAt = { ms: performance.now() - lateMs, clockMs: Date.now() - lateMs };
+    show(found);
   };
   mine.onerror = () => {
     if (mine.readyState === EventSource.CLOSED) setTimeout(() => mine === events && listen(), RETRY_MS);
