@@ -36,6 +36,17 @@ def test_an_interval_has_two_ends_and_a_trailer_of_tons_its_ticket(
     assert "9.04" not in capsys.readouterr().out, "no belt of it was seen: it weighs nothing that is known, not 0 kg"
 
 
+def test_a_list_that_ends_before_the_first_load_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a day of 40 loads it showed the last 20, and looked complete."""
+    load = {**SAID, "name": "", "open": False, "count": 0, "coverage": None, "net_g": None}
+    loads = [{**load, "number": n, "began_unix_s": 1.79e9, "ended_unix_s": 1.79e9 + 600} for n in range(40, 0, -1)]
+    print_loads(loads[:20], limit=20)
+    assert "older loads, up to number 20, are there: --limit" in " ".join(capsys.readouterr().out.split())
+    for shown, limit in ((loads, 50), (loads, 40), (loads[:3], 20)):
+        print_loads(shown, limit=limit)
+        assert "older loads" not in capsys.readouterr().out
+
+
 def test_times_of_day_say_their_zone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Who asked from another zone than the line's took them for the line's own."""
     monkeypatch.setenv("COLUMNS", "80")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -147,3 +148,17 @@ def test_single_tubers_are_told_in_ounces_where_loads_are_told_in_pounds(browser
         zero, four, *_ = found["marks"]
         assert four - zero == pytest.approx(4 * 28.349523125 * per_gram, abs=0.1)
         js(browser, "localStorage.clear(); 1")
+
+
+def test_a_list_of_loads_that_ends_before_the_first_one_says_so(browser: Browser) -> None:
+    """Of a day of 40 loads the page showed the last 24, and looked complete."""
+    state, board = loaded_state(), Board(["north"])
+    numbered = tuple(replace(state.told[0], number=n, open=False) for n in range(40, 16, -1))
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/?lang=en")
+        until_told(browser, board, snapshot(replace(state, told=numbered)), "Older loads, up to number 16: ")
+        until_told(browser, board, snapshot(state), "trailer 5")
+        assert "Older loads" not in text(browser)
+        first_24 = tuple(replace(load, number=load.number - 16) for load in numbered)
+        until_told(browser, board, snapshot(replace(state, told=first_24)), "24 · trailer 7")
+        assert "Older loads" not in text(browser)

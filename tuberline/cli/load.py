@@ -246,7 +246,7 @@ def show(
         for one in loads:
             print_load(one, unit=unit)
     else:
-        print_loads(loads, unit=unit)
+        print_loads(loads, unit=unit, limit=limit)
 
 
 def _since_typed_s() -> float:

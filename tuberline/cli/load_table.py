@@ -75,8 +75,10 @@ def _found(ask: Callable[[str, int], list[dict[str, Any]]], wanted: str, limit: 
     raise InputError(f"no load {wanted!r} is there; {f'the newest are {known}' if known else 'none was started yet'}")
 
 
-def print_loads(loads: list[dict[str, Any]], *, unit: str = "kg") -> None:
-    """One line a load, below them what is to be said of their tickets; weights in `unit`, one of `units.GRAMS`."""
+def print_loads(loads: list[dict[str, Any]], *, unit: str = "kg", limit: int = 20) -> None:
+    """One line a load, below them what is to be said of their tickets, and that there are older ones than the `limit`
+    that were asked for; weights in `unit`, one of `units.GRAMS`.
+    """
     console = Console()
     if not loads:
         console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
@@ -104,6 +106,11 @@ def print_loads(loads: list[dict[str, Any]], *, unit: str = "kg") -> None:
             console.print(Text(f"{load['number']}: {in_unit(words, unit, names=names)}"))
     for words in dict.fromkeys(words for load in loads for words in load.get("remarks", ())):
         console.print(Text(words))
+    if len(loads) in (limit, MOST_ASKED) and loads[-1]["number"] > 1:
+        console.print(
+            f"older loads, up to number {loads[-1]['number'] - 1}, are there: --limit says how many are shown, at most "
+            f"{MOST_ASKED} of a running line and any number of --ledger RUN"
+        )
 
 
 def _weight(load: dict[str, Any], unit: str) -> str:

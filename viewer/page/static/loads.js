@@ -6,6 +6,7 @@ import { empty, inUnit, load, loadUnit, number, percent, scaled, t, weight, when
 
 const UNDO_WITHIN_S = 60;
 const SAID_MS = 60000;
+const MOST_TOLD = 24; // loads; the server tells no more
 
 // "packer 2026, by square mesh": a contract's own name, and by what it measures in the reader's language.
 function contractNamed(told) {
@@ -35,6 +36,9 @@ export class Loads {
     const heads = ["load", "begun", "weight", "sure", "tubers", "belt_seen", "scale", "field", "variety", "notes"];
     fill(this.card.places.told, heads.map((key) => t(key)), told.map((each) => this.row(each, told.map(({ name }) => name))), t("loads.none"));
     this.chart.show(told);
+    const older = told.length >= MOST_TOLD ? told.at(-1).number - 1 : 0;
+    this.card.places.older.hidden = !older;
+    put("older", older ? t("loads.older", { n: older }) : "");
     this.buttons(found, now);
   }
 
