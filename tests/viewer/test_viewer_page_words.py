@@ -162,3 +162,25 @@ def test_a_list_of_loads_that_ends_before_the_first_one_says_so(browser: Browser
         first_24 = tuple(replace(load, number=load.number - 16) for load in numbered)
         until_told(browser, board, snapshot(replace(state, told=first_24)), "24 · trailer 7")
         assert "Older loads" not in text(browser)
+
+
+def test_a_name_that_reads_from_right_to_left_turns_nothing_else_around(browser: Browser) -> None:
+    """Field and variety changed places, "since" stood between them; 'abc' before 93 was shown as 'abc39'."""
+    state, board = loaded_state(), Board(["north"])
+    assert state.totals is not None
+    assert state.totals.load is not None
+    now = replace(
+        state.totals.load, name="abc\u202edcba 93", trailer="", field="שדה 7", variety="حقل 12", customer="Coop"
+    )
+    told = (replace(state.told[0], name=now.name, field=now.field), *state.told[1:])
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/?lang=en")
+        shown = snapshot(replace(state, told=told, totals=replace(state.totals, load=now)))
+        until_told(browser, board, shown, "Coop", "trailer 6")
+        which, known = js(
+            browser, "['which', 'known'].map((n) => document.querySelector(`[data-put=${n}]`).textContent)"
+        )
+        row = js(browser, "[...document.querySelectorAll('[data-put=told] tbody td')].map((cell) => cell.textContent)")
+    assert which == "Load 3 · \u2068abcdcba 93\u2069"
+    assert known.split(" · ")[1:4] == ["\u2068שדה 7\u2069", "\u2068حقل 12\u2069", "Coop"]
+    assert (row[0], row[7]) == ("3 · \u2068abcdcba 93\u2069 (open)", "\u2068שדה 7\u2069")

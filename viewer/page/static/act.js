@@ -1,5 +1,5 @@
 // Orders of a person: start, end, undo, ticket, note. Each is confirmed in a dialog and sent once, however often it is tried.
-import { chosen, inKilograms, inUnit, number, t, translate } from "./words.js";
+import { apart, chosen, inKilograms, inUnit, number, t, translate } from "./words.js";
 
 const dialog = document.getElementById("order");
 const form = dialog.querySelector("form");
@@ -33,7 +33,7 @@ export function ask(line, action, found, done) {
 
 // For a ticket the newest load that has ended and has none yet stands first, for a note the open one.
 function choose(told, action) {
-  const named = (load) => [load.number, load.name && `· ${load.name}`, load.open && t("open_load")].filter(Boolean).join(" ");
+  const named = (load) => [load.number, load.name && `· ${apart(load.name)}`, load.open && t("open_load")].filter(Boolean).join(" ");
   inputs.load.replaceChildren(...told.map((load) => new Option(named(load), load.number)));
   const next = told.find((load) => (action === "note" ? load.open : !load.open && load.net_g === null && load.gross_g === null));
   if (next) inputs.load.value = next.number;

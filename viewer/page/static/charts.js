@@ -1,5 +1,5 @@
 // Lines and bars, drawn by uPlot: the rate of the last ten minutes, and the loads beside each other.
-import { chosen, load, loadUnit, number, rate, t } from "./words.js";
+import { apart, chosen, load, loadUnit, number, rate, t } from "./words.js";
 
 const HIGH = 150;
 const FONT = "13px system-ui, sans-serif";
@@ -86,7 +86,7 @@ export class LoadsChart extends Chart {
 
 // As much of a load's name as its bar has room for.
 function name(each, wide) {
-  const full = `${each.number}${each.name ? ` ${each.name}` : ""}`;
+  const full = `${each.number}${each.name ? ` ${apart(each.name)}` : ""}`;
   return full.length * 7.5 < wide ? full : String(each.number);
 }
 

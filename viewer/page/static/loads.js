@@ -2,7 +2,7 @@
 import { ask } from "./act.js";
 import { LoadsChart } from "./charts.js";
 import { fill } from "./table.js";
-import { empty, inUnit, load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
+import { apart, empty, inUnit, load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
 
 const UNDO_WITHIN_S = 60;
 const SAID_MS = 60000;
@@ -28,9 +28,9 @@ export class Loads {
     const { now, told = [] } = found;
     const put = (name, text) => this.card.put(name, text);
     const none = !found.load ? "load.no_figures" : told.length ? "load.none_open" : "load.none_started";
-    put("which", now ? [t("load.number", { n: now.number }), now.name].filter(Boolean).join(" · ") : t(none));
+    put("which", now ? [t("load.number", { n: now.number }), apart(now.name)].filter(Boolean).join(" · ") : t(none));
     const below = !found.load ? "" : told.length ? `${this.last(told[0])} ${t("load.belongs_to_none")}`.trim() : t("load.whole_run");
-    put("known", now ? [t("load.since", { when: when(now.since_unix_s) }), ...now.known].join(" · ") : below);
+    put("known", now ? [t("load.since", { when: when(now.since_unix_s) }), ...now.known.map(apart)].join(" · ") : below);
     this.below(now ? found.load : null);
     this.matter(now ?? found.load, found.contract);
     const heads = ["load", "begun", "weight", "sure", "tubers", "belt_seen", "scale", "field", "variety", "notes"];
@@ -79,11 +79,11 @@ export class Loads {
     const scales = [each.net_g === null ? "" : scaled(each.net_g), each.gross_g === null ? "" : t("gross", { weight: scaled(each.gross_g) })].filter(Boolean).join(", ");
     const against = inUnit([...each.refused, ...(each.doubts ?? [])].join("; "), names);
     return [
-      [each.number, each.name && `· ${each.name}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
+      [each.number, each.name && `· ${apart(each.name)}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
       each.low_g === null || empty(each) ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),
       number(each.count), percent(each.coverage),
-      (scales && against ? `${scales}: ${against}` : scales) || "–", each.field || "–", each.variety || "–",
-      (each.notes ?? []).map(({ text, by }) => (by ? `${text} (${by.replace(/^page: /, "")})` : text)).join("; ") || "–",
+      (scales && against ? `${scales}: ${against}` : scales) || "–", apart(each.field) || "–", apart(each.variety) || "–",
+      (each.notes ?? []).map(({ text, by }) => (by ? `${apart(text)} (${apart(by.replace(/^page: /, ""))})` : apart(text))).join("; ") || "–",
     ];
   }
 

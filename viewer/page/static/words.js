@@ -114,6 +114,12 @@ export const tuberUnit = () => (unit === "lb" ? { unit: "oz", per: GRAMS.lb / 16
 // "172", or "6.1" of ounces
 export const ofTuber = (grams) => number(grams / tuberUnit().per, tuberUnit().digits);
 
+const OTHER_WAY = /[\u0590-\u08ff\u200e\u200f\u202a-\u202e\u2066-\u2069\ufb1d-\ufdff\ufe70-\ufeff]/;
+const TURNS = /[\u202a-\u202e\u2066-\u2069]/g;
+
+// What a person gave as a name, among other words: where it reads from right to left it turns none of them around.
+export const apart = (name) => (OTHER_WAY.test(name) ? `\u2068${name.replace(TURNS, "")}\u2069` : name);
+
 // What comes in a minute, or in an hour for who counts in tons.
 export function rate(kgPerMin) {
   if (kgPerMin === null || kgPerMin === undefined) return null;
