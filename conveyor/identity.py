@@ -57,6 +57,12 @@ class Identity:
         return text
 
 
+def names_there(folder: Path, role: str) -> list[str]:
+    """Names of the nodes of `role` whose own certificates, with their keys, are in `folder`; sorted."""
+    own = (path for path in folder.glob(f"{role}.*.pem") if path.with_suffix(".key").is_file())
+    return sorted(path.stem.removeprefix(f"{role}.") for path in own)
+
+
 def own_files(folder: Path, node: str) -> tuple[Path, Path, Path]:
     """(authority, certificate, key) of the process `node` ('camera/front', 'router', 'observer') in `folder`.
 

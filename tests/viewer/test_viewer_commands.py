@@ -96,6 +96,30 @@ def test_watch_without_a_line_is_refused() -> None:
         watch()
 
 
+def test_watch_is_the_viewer_whose_certificate_is_here(tmp_path: Path) -> None:
+    """Where [access] names its viewers nothing could watch: it asked for the certificate of viewer/watch-laptop-12806,
+    a name that was another one at each start.
+    """
+    from conveyor.errors import ConfigError
+    from tuberline.cli.viewer import name_here, watch
+
+    def certificate(stem: str) -> None:
+        for suffix in ("pem", "key"):
+            (tmp_path / f"{stem}.{suffix}").touch()
+
+    (tmp_path / "office.toml").write_text(f'name = "north"\n[link]\ncerts = "{tmp_path}"\n')
+    with pytest.raises(ConfigError, match=r"none is there; .*viewer\.office\.pem"):
+        watch("tls/127.0.0.1:7447", config=tmp_path / "office.toml")
+    certificate("viewer.office")
+    assert name_here(tmp_path) == "office"
+    certificate("viewer.cab")
+    with pytest.raises(ConfigError, match="those of cab, office are there"):
+        watch("tls/127.0.0.1:7447", config=tmp_path / "office.toml")
+    certificate("viewer")
+    assert name_here(tmp_path).startswith("watch-")
+    assert name_here(None).startswith("watch-")
+
+
 @pytest.mark.graph
 def test_watch_serves_a_page_on_this_machine_and_feeds_its_hub(tmp_path: Path) -> None:
     """The page answers, and what the hub hands to a second reader is what the line said."""

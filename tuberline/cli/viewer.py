@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from conveyor.config import LineConfig, ViewerConfig, load_config
 from conveyor.errors import ConfigError
+from conveyor.identity import names_there
 from tuberline.cli.address import LineAddress
 from tuberline.cli.numbers import within
 from viewer.scene.profiles import PROFILES, ProfileName
@@ -128,15 +129,34 @@ def watch(
     from viewer.rerun.launch import Ports, RerunProgram
 
     watched = LineAddress(config, connect, line).watched()
+    name = name_here(watched.link.certs)
     page = web or not _has_display()
     ports = Ports(hub_port or free_port(), page_port or free_port())
     with RerunProgram(ports, page=page) as program:
         if page:
             sys.stderr.write(f"open {ports.link}\n")
         target = Target(rrd=None, rrd_limit_bytes=0, connect=ports.url)
-        name = f"watch-{socket.gethostname().split('.')[0][:32]}-{os.getpid()}"
         hanging = run_viewer(watched, target, profile=PROFILES[profile], name=name, run=None, until=program.ended)
     _end(hanging)
+
+
+def name_here(certs: Path | None) -> str:
+    """As whom this machine watches: as the one viewer whose certificate is here, else under a name of its own.
+
+    Raises:
+        ConfigError: certificates are needed, and there are none of viewers or those of several.
+    """
+    own = f"watch-{socket.gethostname().split('.')[0][:32]}-{os.getpid()}"
+    if certs is None or ((certs / "viewer.pem").is_file() and (certs / "viewer.key").is_file()):
+        return own
+    names = names_there(certs, "viewer")
+    if len(names) == 1:
+        return names[0]
+    found = f"those of {', '.join(names)} are" if names else "none is"
+    raise ConfigError(
+        f"{certs}: {found} there; give this machine one viewer's certificate, such as viewer.office.pem with its .key "
+        "(`tuberline certs add viewer/office`), or viewer.pem, which all viewers share where [access] lets all in"
+    )
 
 
 def _live_cells(line: LineConfig) -> NewCells | None:
