@@ -5,10 +5,13 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
+import pytest
+
 from conveyor.config import LineConfig, parse_config
 from conveyor.messages import Counters
 from tuberline.doctor import Finding, Level
 from tuberline.doctor.examine import Live, examine
+from tuberline.doctor.machine import realsense_mbit
 
 
 def camera_front(config: LineConfig, *, host: str, alive: bool = True) -> Finding:
@@ -30,3 +33,19 @@ def test_a_recording_that_another_host_plays_need_not_be_here(tmp_path: Path) ->
     assert camera_front(config, host=socket.gethostname()).level is Level.FAULT
     recording.mkdir()
     assert camera_front(config, host="edge").level is Level.FAULT, "one that is here is looked at"
+
+
+def test_cameras_that_may_hang_on_another_host_are_no_fault_before_the_line_runs(tmp_path: Path) -> None:
+    """On a host for inference `doctor --offline` ended with 1: the line's file names the cameras of all hosts."""
+    if realsense_mbit():
+        pytest.skip("a RealSense is connected to this machine")
+    cameras = {"device": {"source": "realsense", "belt_distance_m": 0.46}, "played": {"path": str(tmp_path / "gone")}}
+    for router, level in (("tcp/10.0.0.9:7447", Level.WARNING), ("tcp/127.0.0.1:7447", Level.FAULT)):
+        raw = {"link": {"router": router}, "cameras": cameras, "aggregator": {"out": str(tmp_path / "run")}}
+        found = examine(parse_config(raw, where="test"), offline=True)
+        cameras_found = {finding.check: finding for finding in found if finding.check.startswith("camera ")}
+        assert {name: finding.level for name, finding in cameras_found.items()} == {
+            "camera device": level,
+            "camera played": level,
+        }
+        assert ("where it hangs on this host: " in cameras_found["camera device"].fix) == (level is Level.WARNING)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import time
 from collections.abc import Callable
@@ -13,6 +14,8 @@ from typing import Any
 
 from conveyor import __version__
 from conveyor.config import LineConfig
+from conveyor.config_camera import CameraConfig
+from conveyor.endpoints import host_and_port
 from conveyor.errors import InputError, TuberlineError
 from conveyor.files import told
 from conveyor.lines import seen_beside
@@ -165,8 +168,22 @@ def _cameras(config: LineConfig, live: Live) -> list[Finding]:
             found += _camera(config, name)
         except (TuberlineError, OSError) as error:
             fix = f"correct [cameras.{name}] in the config, or the recording or device it names"
-            found.append(fault(f"camera {name}", _in_words(error), fix))
+            if _may_hang_elsewhere(config, camera):
+                found.append(warning(f"camera {name}", _in_words(error), f"where it hangs on this host: {fix}"))
+            else:
+                found.append(fault(f"camera {name}", _in_words(error), fix))
     return found
+
+
+def _may_hang_elsewhere(config: LineConfig, camera: CameraConfig) -> bool:
+    """Of a line over several hosts a camera of which this one has nothing: until it runs no one says where it hangs."""
+    from tuberline.doctor.machine import realsense_mbit
+
+    if host_and_port(config.link.router)[0] in ("", "localhost", "127.0.0.1", "[::1]"):
+        return False
+    if camera.source == "realsense":
+        return not realsense_mbit()
+    return camera.path is not None and not os.path.exists(camera.path)
 
 
 def _camera(config: LineConfig, name: str) -> list[Finding]:

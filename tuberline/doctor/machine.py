@@ -22,6 +22,7 @@ SLOW_SYNC_MS = 250.0
 CLOCK_BEHIND_S = 3600.0
 """More than a summer time that was taken for a fault; by less no load changes its day."""
 USB3_MBIT = 5000
+USB_DEVICES = Path("/sys/bus/usb/devices")
 INTEL_USB = "8086"
 
 
@@ -106,16 +107,22 @@ def check_locked_memory(limit_bytes: int | None = None) -> list[Finding]:
     return [ok("locked memory", f"{shown}; Tuberline locks none, for Zenoh's shared memory is off")]
 
 
-def check_usb(config: LineConfig, *, devices: Path = Path("/sys/bus/usb/devices")) -> list[Finding]:
-    """RealSense cameras are there and on USB 3. `devices` is the kernel's list."""
-    wanted = [name for name, camera in sorted(config.cameras.items()) if camera.source == "realsense"]
-    if not wanted:
-        return []
+def realsense_mbit(devices: Path = USB_DEVICES) -> list[float]:
+    """How fast the RealSense devices of this machine are connected, Mbit/s. `devices` is the kernel's list."""
     speeds = []
     for vendor in sorted(devices.glob("*/idVendor")):
         product = vendor.parent / "product"
         if vendor.read_text().strip() == INTEL_USB and product.is_file() and "RealSense" in product.read_text():
             speeds.append(float((vendor.parent / "speed").read_text()))
+    return speeds
+
+
+def check_usb(config: LineConfig, *, devices: Path = USB_DEVICES) -> list[Finding]:
+    """RealSense cameras are there and on USB 3. `devices` is the kernel's list."""
+    wanted = [name for name, camera in sorted(config.cameras.items()) if camera.source == "realsense"]
+    if not wanted:
+        return []
+    speeds = realsense_mbit(devices)
     text = f"{len(speeds)} RealSense devices for {len(wanted)} cameras ({', '.join(wanted)})"
     if len(speeds) < len(wanted):
         return [
