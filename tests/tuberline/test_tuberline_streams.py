@@ -1,14 +1,21 @@
-"""A command whose standard output or error is closed says nothing there, and ends with the exit code it has else."""
+"""A command whose standard output or error is closed says nothing there, and ends with the exit code it has else; one
+that draws on a terminal draws what is new.
+"""
 
 from __future__ import annotations
 
 import os
+import pty
+import select
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.node import Node
 from tests.aggregator.finished_ledger import copied, flip, write_finished
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -148,3 +155,28 @@ def test_no_file_gets_the_number_of_a_closed_stream(tmp_path: Path) -> None:
     )
     assert done.returncode == 0
     assert (tmp_path / "kept").read_text(encoding="utf-8") == "0"
+
+
+@pytest.mark.graph
+def test_top_draws_as_often_as_a_line_reports(link: LinkConfig) -> None:
+    """Four times a second it wrote its whole picture: 15 kB/s, which ssh had to carry over any link."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "tuberline", "top", "--connect", link.router, "--line", "north"]
+    with Node("aggregator", "aggregator", config=LineConfig(name="north", link=link), run="monday") as node:
+        env = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
+        watching = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=env)
+        try:
+            written, began_s = b"", 0.0
+            deadline = time.monotonic() + 60
+            while not began_s or time.monotonic() - began_s < 6:
+                assert time.monotonic() < deadline, written
+                node.progress()
+                if select.select([ours], [], [], 0.1)[0]:
+                    written += os.read(ours, 65536)
+                    began_s = began_s or time.monotonic()
+        finally:
+            watching.terminate()
+            watching.wait(30)
+            os.close(ours)
+            os.close(theirs)
+    assert 3 <= written.count(b"aggregator") <= 8, written[-2000:]
