@@ -22,6 +22,8 @@ IDLE_S = 0.02
 LEAVE_WITHIN_S = 0.9
 DRAIN_S = 0.3
 FILE_TICK_S = 0.05
+SILENT_S = 15.0
+"""By then the processes of a line that runs are seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +93,32 @@ def run_viewer(
         show = Show(inputs, offer, profile=profile, run=run, counters=node.counters, cells=cells)
         for sink in sinks:
             sink.start()
+        look_s = time.monotonic() + SILENT_S
         while not node.stop.is_set() and not until():
             node.progress()
             if not show.turn():
                 node.stop.wait(IDLE_S)
+            if time.monotonic() > look_s:
+                look_s = float("inf")
+                _tell_silence(node, inputs)
         _drain(show)
         return _leave(node, sinks)
+
+
+def _tell_silence(node: Node, inputs: Inputs) -> None:
+    """Where no process of the line is seen, say so. A router lets a certificate in that no rule names, and gives it
+    nothing: the picture stayed empty without a word.
+    """
+    if inputs.alive() - {f"viewer/{node.name}"}:
+        return
+    access = f", or its [access] does not name '{node.name}' among its viewers" if node.config.link.certs else ""
+    node.log.warning(
+        "no process of line '%s' is seen at %s after %g s: it does not run there, has another name%s",
+        node.line,
+        node.config.link.router,
+        SILENT_S,
+        access,
+    )
 
 
 def _drain(show: Show) -> None:

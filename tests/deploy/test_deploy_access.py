@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 
+import viewer.node as viewer_node
 from conveyor import topics
 from conveyor.access import router_access
 from conveyor.config import LinkConfig
@@ -34,6 +36,7 @@ from conveyor.session import open_client, open_router
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import Peer, Site, make_certs, running_site, site_config
 from tuberline.certs import issue
+from viewer.scene.profiles import PROFILES
 
 pytestmark = pytest.mark.graph
 
@@ -311,3 +314,36 @@ def test_a_node_of_another_line_is_nobody_here(site: Site) -> None:
     out[1].put(FRAME)
     assert frames.get(30.0) is not None
     assert frames.get(0.0) is None
+
+
+def test_a_viewer_whom_no_rule_names_says_that_it_sees_no_process(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its certificate lets it in and no rule gives it anything: the picture stayed empty, and nothing said why."""
+    monkeypatch.setattr(viewer_node, "SILENT_S", 2.0)
+    certs = tmp_path / "certs"
+    shutil.copytree(site.certs, certs)
+    issue(certs, Identity("viewer", "office"), line=site.config.name)
+    link = site.config.link.model_copy(update={"certs": certs})
+    config = site.config.model_copy(update={"link": link})
+    alive = topics.ALIVE.key(site.config.name, role="aggregator", name="aggregator")
+    held = site.join("aggregator/aggregator").session.liveliness().declare_token(alive)
+
+    def said(name: str, *, within_s: float) -> str:
+        """What it warned of, in so long."""
+        caplog.clear()
+        target = viewer_node.Target(rrd=tmp_path / f"{name}.rrd", rrd_limit_bytes=1 << 20, connect=None)
+        deadline = time.monotonic() + within_s
+        viewer_node.run_viewer(
+            config,
+            target,
+            profile=PROFILES["light"],
+            name=name,
+            run=None,
+            until=lambda: time.monotonic() > deadline or "no process" in caplog.text,
+        )
+        return caplog.text
+
+    assert "does not name 'office' among its viewers" in said("office", within_s=30.0)
+    assert "no process" not in said("viewer", within_s=4.0)
+    held.undeclare()
