@@ -122,6 +122,13 @@ def test_other_pages_and_what_is_no_order_are_refused(page: PageServer, line: Li
     assert line.taken == []
 
 
+def test_another_page_does_not_use_up_the_orders_of_a_minute(page: PageServer, line: Line) -> None:
+    """A page elsewhere, open on the same computer, kept every hand out with 20 forms a minute, without any token."""
+    for _ in range(MAX_ASKED + 1):
+        assert give(page, START, token="wrong", Origin="http://evil.example")[0] == 403
+    assert give(page, START)[0] == 200
+
+
 def test_one_order_of_a_line_at_a_time(page: PageServer, line: Line) -> None:
     line.go.clear()
     found: list[tuple[int, dict[str, Any]]] = []
