@@ -156,7 +156,8 @@ def test_a_list_of_loads_that_ends_before_the_first_one_says_so(browser: Browser
     numbered = tuple(replace(state.told[0], number=n, open=False) for n in range(40, 16, -1))
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/?lang=en")
-        until_told(browser, board, snapshot(replace(state, told=numbered)), "Older loads, up to number 16: ")
+        older = "Older loads, up to number 16: tuberline load show --limit 50 lists them."
+        until_told(browser, board, snapshot(replace(state, told=numbered)), older)
         until_told(browser, board, snapshot(state), "trailer 5")
         assert "Older loads" not in text(browser)
         first_24 = tuple(replace(load, number=load.number - 16) for load in numbered)
