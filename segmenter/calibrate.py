@@ -13,6 +13,7 @@ import numpy as np
 from conveyor.errors import InputError
 from conveyor.formats.cameras import CameraFrames, open_cameras
 from conveyor.formats.scale_check import expected_distance_m
+from segmenter.frame.depth_watch import share_without_depth
 from segmenter.frame.plane import PlaneFit, fit_plane, plane_pose
 
 LEAST_FITS = 3
@@ -27,7 +28,7 @@ class BeltCalibration:
             first_fault: what was said of the first of those.
         belt_distance_m: along the optical axis; spread_mm: standard deviation of the single frames' distances.
         tilt_deg: between the optical axis and the belt's normal; residual_mm: RMS of the belt around the plane.
-        belt_share: median share of the image that shows belt.
+        belt_share: median share of what has depth that is belt; without_depth: median share of the image without.
         belt_from_camera: (4, 4) as nested lists, of the image as it was recorded; x along its +v, or along the side
             that the recording's own pose says.
         given_distance_m: what the recording says, or None; disagreement_mm: seen minus given.
@@ -46,6 +47,7 @@ class BeltCalibration:
     disagreement_mm: float | None
     unreadable: dict[str, int]
     first_fault: str = ""
+    without_depth: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -76,6 +78,7 @@ def calibrate_camera(
         InputError: too little belt is seen.
     """
     fits: list[PlaneFit] = []
+    empty: list[float] = []
     asked, given_m = 0, None
     for frame in islice(camera, frames):
         on_frame(asked, frames)
@@ -84,6 +87,7 @@ def calibrate_camera(
         fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics)
         if fit is not None:
             fits.append(fit)
+            empty.append(share_without_depth(frame.depth))
     if len(fits) < min(LEAST_FITS, asked) or not fits:
         raise InputError(
             f"{camera.description.origin}: a belt is seen in {len(fits)} of {asked} frames only; "
@@ -108,5 +112,6 @@ def calibrate_camera(
         disagreement_mm=None if given_m is None else (middle.distance_m - given_m) * 1000,
         unreadable=dict(camera.unreadable),
         first_fault=camera.first_fault,
+        without_depth=float(np.median(empty)),
     )
     return calibration, middle

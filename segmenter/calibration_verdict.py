@@ -8,6 +8,7 @@ from typing import Literal
 
 from conveyor.formats.inspection import FARTHEST_M, NEAREST_M
 from segmenter.calibrate import BeltCalibration
+from segmenter.frame.constants import HOLES_TOLD
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,14 @@ LIMITS = (
     Limit("tilt", "deg", 1.0, 25.0, lambda c: c.tilt_deg, "let the camera look straight down, or use belt_from_camera"),
     Limit("residual", "mm", 3.0, 25.0, lambda c: c.residual_mm, "record an empty belt; clean the lens"),
     Limit("image without belt", "%", 70.0, 95.0, lambda c: 100 * (1 - c.belt_share), "let the belt fill the image"),
+    Limit(
+        "image without depth",
+        "%",
+        100 * HOLES_TOLD,
+        95.0,
+        lambda c: 100 * c.without_depth,
+        "clean the front glass, and look at the light",
+    ),
     Limit(
         "frames without belt", "%", 20.0, 70.0, lambda c: 100 * (1 - c.frames / c.asked), "record a belt in full view"
     ),

@@ -6,15 +6,23 @@ from collections import deque
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.messages import Frame
 from segmenter.frame.constants import HOLE_PX, HOLE_SEEN, HOLES_TOLD, KEPT_CHECKS, LOOK_EVERY
 
 
-class DepthWatch:
-    """Looks at processed frames by their count. Holes at outlines, noise and a camera that tells every other row leave
-    depth in most squares of the picture; dirt does not.
+def share_without_depth(depth: NDArray[np.uint16]) -> float:
+    """Share of the squares of a picture (rows, columns) that show no depth. Holes at outlines, noise and a camera that
+    tells every other row leave depth in most of them; dirt does not.
     """
+    rows, columns = (size // HOLE_PX for size in depth.shape)
+    squares = depth[: rows * HOLE_PX, : columns * HOLE_PX].reshape(rows, HOLE_PX, columns, HOLE_PX)
+    return float((np.count_nonzero(squares, axis=(1, 3)) < HOLE_SEEN * HOLE_PX**2).mean())
+
+
+class DepthWatch:
+    """Looks at processed frames by their count."""
 
     def __init__(self) -> None:
         self._frames = 0
@@ -23,10 +31,7 @@ class DepthWatch:
     def step(self, frame: Frame) -> None:
         """Take the next processed frame. One with masks may be cut out of its picture."""
         if self._frames % LOOK_EVERY == 0 and frame.mask is None:
-            rows, columns = (size // HOLE_PX for size in frame.depth.shape)
-            squares = frame.depth[: rows * HOLE_PX, : columns * HOLE_PX].reshape(rows, HOLE_PX, columns, HOLE_PX)
-            seen = np.count_nonzero(squares, axis=(1, 3))
-            self._empty.append(float((seen < HOLE_SEEN * HOLE_PX**2).mean()))
+            self._empty.append(share_without_depth(frame.depth))
         self._frames += 1
 
     @property

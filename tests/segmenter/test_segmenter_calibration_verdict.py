@@ -22,15 +22,18 @@ K = Intrinsics(212, 120, 200.0, 200.0, 106.0, 60.0)
 GOOD = BeltCalibration("front", 30, 30, 0.46, 0.2, 0.5, 1.0, 0.8, np.eye(4).tolist(), 0.46, 0.5, {})
 
 
-def tilted(folder: Path, tilt_deg: float, *, scale_m: float = 0.001) -> Path:
-    """Frames of a plane, 460 units away along the axis, turned about the image's horizontal."""
-    v = np.arange(120)[:, None] * np.ones(212)
-    z = 460 / (1 + np.tan(np.radians(tilt_deg)) * (v - K.cy) / K.fy)
-    description = CameraDescription("front", "test", K, scale_m, None, None, 30.0, 6)
+def tilted(folder: Path, tilt_deg: float, *, scale_m: float = 0.001, k: Intrinsics = K, dark: int = 0) -> Path:
+    """Frames of a plane, 460 units away along the axis, turned about the image's horizontal; without depth in the
+    first `dark` columns.
+    """
+    v = np.arange(k.height)[:, None] * np.ones(k.width)
+    z = 460 / (1 + np.tan(np.radians(tilt_deg)) * (v - k.cy) / k.fy)
+    z[:, :dark] = 0
+    description = CameraDescription("front", "test", k, scale_m, None, None, 30.0, 6)
     with FolderWriter(folder, description) as writer:
         for seq in range(6):
             depth = np.round(z).astype(np.uint16)
-            writer.write(Frame("front", "r", seq, seq * 33_000_000, None, scale_m, K, None, depth))
+            writer.write(Frame("front", "r", seq, seq * 33_000_000, None, scale_m, k, None, depth))
     return folder
 
 
@@ -41,6 +44,7 @@ def test_each_measure_has_a_limit_that_it_can_pass() -> None:
         "tilt": {"tilt_deg": 5.0},
         "residual": {"residual_mm": 9.0},
         "image without belt": {"belt_share": 0.2},
+        "image without depth": {"without_depth": 0.3},
         "frames without belt": {"frames": 20},
         "off what is given": {"disagreement_mm": -15.0},
     }
@@ -49,6 +53,7 @@ def test_each_measure_has_a_limit_that_it_can_pass() -> None:
         "tilt": {"tilt_deg": 59.0},
         "residual": {"residual_mm": 40.0},
         "image without belt": {"belt_share": 0.03},
+        "image without depth": {"without_depth": 0.97},
         "frames without belt": {"frames": 5},
         "off what is given": {"disagreement_mm": 120.0},
     }
@@ -63,6 +68,15 @@ def test_each_measure_has_a_limit_that_it_can_pass() -> None:
         assert found.word == "refused"
         assert name in found.findings[0]
     assert verdict(replace(GOOD, belt_distance_m=11.57)).word == "refused"
+
+
+def test_a_lens_that_is_mostly_covered_is_not_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three quarters of the picture were dark, and the camera was called good."""
+    calibrate_belt(tilted(tmp_path / "r", 0.5, k=Intrinsics(848, 480, 800.0, 800.0, 424.0, 240.0), dark=640), json=True)
+    (camera,) = json.loads(capsys.readouterr().out)
+    assert camera["verdict"] == "usable"
+    (found,) = camera["findings"]
+    assert found == "image without depth 75.5 %, good is up to 20: clean the front glass, and look at the light"
 
 
 def test_a_good_belt_is_told_with_its_distance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
