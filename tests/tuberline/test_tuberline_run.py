@@ -109,7 +109,9 @@ def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_le
 def test_a_line_that_is_stopped_while_it_starts_starts_no_more(tmp_path: Path, number: int, code: int) -> None:
     """It started all its nodes first, each with what that loads: on a busy machine it left after 8 to 17 s."""
     config, logs = line_file(tmp_path, tmp_path / "belt"), tmp_path / "logs"
-    line = subprocess.Popen([sys.executable, "-m", "tuberline", "run", str(config), "--logs", str(logs)])
+    command = [sys.executable, "-m", "tuberline", "run", str(config), "--logs", str(logs)]
+    # Of a script's background job a shell lets Ctrl-C be ignored: these tests may run in one.
+    line = subprocess.Popen(command, preexec_fn=lambda: signal.signal(number, signal.SIG_DFL))
     wait_until(lambda: (logs / "router.log").exists(), what="the first of its nodes", timeout_s=90)
     router = child(line.pid, "router")
     line.send_signal(number)
