@@ -19,8 +19,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
             belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_coarse_m, encoder_behind_m,
-            load_torn_m, masks_merged, without_depth, like_clods, outline_grown_px, farther_than_travel,
-            scaled_by_travel, travel_not_told, and those of its gauge.
+            load_torn_m, masks_merged, without_depth, picture_stood, like_clods, outline_grown_px,
+            farther_than_travel, scaled_by_travel, travel_not_told, and those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -126,6 +126,12 @@ def _picture(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             f"camera '{camera}': {100 * share:.0f} % of its picture shows no depth. Tubers there are missing, cut or "
             "read light, and their belt counts as looked at all the same. Clean the front glass, and look at the "
             "light; where no belt is there, turn the camera to it"
+        )
+    if stood := gauges.get("picture_stood"):
+        found["picture_stood"] = (
+            f"camera '{camera}': {stood:.0f} frames in a row are one picture, bit for bit. If the belt ran, the camera "
+            "froze, tubers are missing, and their belt counts as looked at all the same: look at its cable and hub. An "
+            "encoder tells a frozen camera from a belt that stands"
         )
     if like := gauges.get("like_clods"):
         found["like_clods"] = (

@@ -13,6 +13,7 @@ from segmenter.belt_segmenter import BeltSegmenter, Found, Settings, row_place_m
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.belt_keeper import BeltKeeper
 from segmenter.frame.belt_off import BeltOff
+from segmenter.frame.constants import STOOD_TOLD
 from segmenter.frame.depth_watch import DepthWatch
 from segmenter.frame.gate import FrameGate
 from segmenter.frame.instances import Instances
@@ -160,6 +161,7 @@ class Segmenter:
             "load_torn_m": self.torn_m,
             "masks_merged": self.merged_masks,
             "without_depth": self._depth.without_depth,
+            "picture_stood": self._gate.stood if self._gate.stood >= STOOD_TOLD else 0,
             "like_clods": self._perception.like_clods,
         }
 

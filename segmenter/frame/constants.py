@@ -15,6 +15,9 @@ LEAST_SEEN_OF_FRAME = 0.1
 """Share of the image with depth; a covered lens has next to none. Higher drops frames that could still be used."""
 FROZEN_M = 0.001
 """Metres of travel. A shorter way need not change a single pixel; longer notices a frozen camera later."""
+STOOD_TOLD = 10
+"""Frames in a row that are one picture from which on it is said, where no encoder tells whether the belt ran on. Of a
+belt that stands a real camera takes no picture twice, bit for bit; a simulated one without noise does."""
 HOLE_PX, HOLE_SEEN, LOOK_EVERY = 16, 0.125, 10
 """Pixels of a side of the squares that the picture is looked at in, share of a square with depth below which it shows
 none, and frames between two looks. Of smaller squares a shadow at an outline fills many."""

@@ -17,10 +17,13 @@ class FrameGate:
 
     Attributes:
         changed: what of the newest frame is not as in the first one, with both values; empty where all is.
+        stood: most processed frames in a row that were one picture of a load, while no encoder told of the belt.
     """
 
     def __init__(self) -> None:
         self.changed = ""
+        self.stood = 0
+        self._standing = 0
         self._first: Frame | None = None
         self._last: Frame | None = None
         self._last_had_load = False
@@ -41,6 +44,10 @@ class FrameGate:
 
     def processed(self, frame: Frame, *, instances: int) -> None:
         """A frame was processed, and `instances` were found on it."""
+        last = self._last
+        again = last is not None and frame.travel_m is None and self._last_had_load and _same(frame.depth, last.depth)
+        self._standing = self._standing + 1 if again else 0
+        self.stood = max(self.stood, self._standing)
         self._last, self._last_had_load = frame, instances > 0
 
     def _frozen(self, frame: Frame) -> bool:

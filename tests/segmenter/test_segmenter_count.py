@@ -181,6 +181,19 @@ def test_a_camera_that_leaves_out_every_other_row_is_not_blind(first: int) -> No
     assert belt_findings("front", core.gauges()) == {}
 
 
+@pytest.mark.parametrize(("encoder", "still", "told"), [(False, 20, 20), (False, 9, 0), (True, 20, 0)])
+def test_a_picture_that_stands_without_an_encoder_is_told(encoder: bool, still: int, told: int) -> None:
+    """Tubers that passed a frozen camera were missing without a word; with an encoder such frames are left out."""
+    scene = Scene(scattered(15, seed=1), noise_m=0.001)
+    frozen = scene.frame(24, 24 * STEP_M).depth
+    frames = [scene.frame(i, i * STEP_M, encoder=encoder) for i in range(70)]
+    core, _ = run(replace(each, depth=frozen) if 24 < each.seq <= 24 + still else each for each in frames)
+    assert core.gauges()["picture_stood"] == told
+    found = belt_findings("front", core.gauges()).get("picture_stood", "")
+    assert found.startswith("camera 'front': 20 frames in a row are one picture" if told else "")
+    assert bool(found) == bool(told)
+
+
 def test_a_merged_pair_counts_as_two_and_a_late_fragment_as_none() -> None:
     pair = [Body(-0.30, -0.030, 0.035, 0.030, 0.027), Body(-0.30, 0.032, 0.035, 0.030, 0.027)]
     scene = Scene(pair)

@@ -35,6 +35,7 @@ def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, 
     ("gauges", "said"),
     [
         ({"encoder_coarse_m": 0.034}, "in steps of 34 mm: from 40 mm on tubers count twice."),
+        ({"picture_stood": 12.0}, "Camera left gave the same picture for 12 frames"),
         ({"without_depth": 0.28}, "Camera left shows no depth in 28 % of its picture"),
         ({"outline_grown_px": 3.24}, "Camera left draws tubers 3.2 px larger all round than they are."),
         ({"farther_than_travel": 0.024}, "Camera left puts tubers 2.4 % farther away than the belt's travel says"),

@@ -29,6 +29,7 @@ SEEN_TWICE = {
     "outline_grown_px": "a smaller matching window in the camera's settings",
     "farther_than_travel": "`tuberline calibrate bucket`, and the encoder over a few metres of belt",
     "travel_not_told": 'connect the encoder ([encoder]), or gauge = "none" in [belt]',
+    "picture_stood": "look at the camera's cable and hub; an encoder tells it from a belt that stands",
     "without_depth": "clean the front glass, and look at the light (`tuberline watch` shows the picture)",
 }
 """Levels of what the same tubers in several frames say of a camera, or cannot say, or its picture says, and what to

@@ -95,6 +95,8 @@ def _tubers(segmenter: NodeState) -> Iterator[Found]:
     if share := segmenter.level("without_depth"):
         say, todo = "alarm.camera.without_depth", "todo.camera.without_depth"
         yield "without-depth", share >= DARK_SHARE, say, todo, {"percent": 100 * share}
+    if stood := segmenter.level("picture_stood"):
+        yield "picture-stood", False, "alarm.camera.picture_stood", "todo.camera.picture_stood", {"n": stood}
     if like := segmenter.level("like_clods"):
         yield "like-clods", True, "alarm.camera.like_clods", "todo.camera.like_clods", {"percent": 100 * like}
     if grown_px := segmenter.level("outline_grown_px"):
