@@ -129,15 +129,8 @@ class Seen:
             InputError: some are too light or too heavy for what is seen of them.
         """
         low, high = GRAMS_PER_ML
-        of = len({tuber for tuber, *_ in self._seen})
         light = {view[0]: view for view in self._seen if view[1] < low * view[2]}  # nothing makes a view too large
-        if light:
-            name, weight_g, volume_ml = min(light.values())
-            raise InputError(
-                f"{self._where}: {len(light)} of {of} tubers are too light for what is seen of them: '{name}' weighs "
-                f"{weight_g:g}, with a visible volume of {volume_ml:.3g} ml; at least {low:g} g a ml are allowed. "
-                f"{CHECK}"
-            )
+        self._refuse(light, "light", f"at least {low:g} g a ml are allowed")
         known = [view for view in self._seen if np.isfinite(view[1])]
         median_g = float(np.median([weight_g for _, weight_g, _ in known])) if known else 0.0
         largest_ml: dict[str, float] = {}
@@ -148,10 +141,15 @@ class Seen:
             for tuber, weight_g, _ in known
             if weight_g > max(HEAVIER * median_g, high * largest_ml[tuber])
         }
-        if heavy:
-            name, weight_g, volume_ml = min(heavy.values())
+        most = f"at most {high:g} g a ml are allowed where it is more than {HEAVIER:g} times the median"
+        self._refuse(heavy, "heavy", most)
+
+    def _refuse(self, found: Mapping[str, tuple[str, float, float]], too: str, allowed: str) -> None:
+        """Raise InputError where tubers were found, each with its name, weight (g) and visible volume (ml)."""
+        if found:
+            name, weight_g, volume_ml = min(found.values())
             raise InputError(
-                f"{self._where}: {len(heavy)} of {of} tubers are too heavy for what is seen of them: '{name}' weighs "
-                f"{weight_g:g}, with a visible volume of {volume_ml:.3g} ml; at most {high:g} g a ml are allowed where "
-                f"it is more than {HEAVIER:g} times the median. {CHECK}"
+                f"{self._where}: {len(found)} of {len({tuber for tuber, *_ in self._seen})} tubers are too {too} for "
+                f"what is seen of them: '{name}' weighs {weight_g:g}, with a visible volume of {volume_ml:.3g} ml; "
+                f"{allowed}. {CHECK}"
             )
